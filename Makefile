@@ -1,0 +1,49 @@
+# Needs Python 3.11 or newer with venv and pip; everything else is installed into .venv once.
+
+VENV := .venv
+BIN := $(VENV)/bin
+# Newer than pyproject.toml and constraints.txt when the environment is up to date.
+STAMP := $(VENV)/.jaxmarine-installed
+
+# The first of these that is new enough; `make PYTHON=...` takes another.
+PYTHON := $(shell for python in python3.11 python3; do \
+	"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	&& { echo "$$python"; break; }; done)
+
+# Compiled programs are kept between runs, small and quick ones too.
+export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
+export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0
+export JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES ?= -1
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup demo test clean
+
+help:
+	@echo "make demo    diagnose an example log and write demo-report/"
+	@echo "make test    style, types and tests"
+	@echo "make setup   only install into $(VENV)"
+	@echo "make clean   remove $(VENV), caches and demo-report/"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "jaxmarine needs Python 3.11 or newer, but \
+	this machine has $$(python3 --version 2>/dev/null || echo no Python 3)." >&2; exit 1; }
+	@echo "Installing jaxmarine and its dependencies into $(VENV), once."
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	@touch $@
+
+demo: $(STAMP)
+	$(BIN)/jaxmarine demo --out demo-report
+
+test: $(STAMP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/basedpyright
+	$(BIN)/pytest
+
+clean:
+	rm -rf $(VENV) .cache .hypothesis .pytest_cache .ruff_cache demo-report
+	find jaxmarine experiments tests -name __pycache__ -type d -prune -exec rm -rf {} +

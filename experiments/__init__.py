@@ -1,0 +1,1 @@
+"""Case studies and blind tests, one folder each."""

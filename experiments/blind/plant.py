@@ -1,0 +1,384 @@
+"""The plant: Fossen's equations of motion with the catalogue's effects, batched.
+
+    M_RB nu' + C_RB(nu) nu + M_A nu_r' + C_A(nu_r) nu_r
+        + D_l nu_r + D_q (|nu_r| nu_r) + g(eta) = tau
+
+with nu_r = nu - nu_c, the current constant in earth axes, so nu_c' = -omega x nu_c in body axes.
+Locked degrees of freedom keep zero velocity and acceleration. Attitude is roll, pitch, yaw (ZYX):
+keep pitch below 90 degrees.
+
+Arrays hold the batch on the last axis. A state has 13 rows: pose (6), velocity (6), fluid memory [N
+or N m].
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from .vehicle import DOFS, Array, Vehicle, rigid_mass
+
+LEFT, RIGHT = np.triu_indices(6)
+SENSOR = (
+    "velocity_lever_arm",
+    "velocity_misalignment",
+    "velocity_scale",
+    "velocity_in_earth_axes",
+    "gyro_bias",
+)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A named effect of the catalogue, acting from the time `since` [s], or always."""
+
+    effect: str
+    target: str | None
+    parameters: dict[str, float]
+    since: float | None = None
+
+    def vector(self, *keys: str) -> Array:
+        """The parameters of these names, zero where absent."""
+        return np.array([self.parameters.get(k, 0.0) for k in keys])
+
+
+@dataclass(frozen=True)
+class Outside:
+    """An effect outside the catalogue.
+
+    - `dofs`: the degrees of freedom on which it acts; `depends_on`: the log columns it depends on.
+    - `wrench`: (t, state, nu_r) to six rows in body axes at o [N, N m], or None.
+    - `commands`: (t, commands) to the commands that the thrusters see, or None; time on the first
+      axis.
+    """
+
+    name: str
+    dofs: tuple[str, ...]
+    depends_on: tuple[str, ...]
+    wrench: Callable[[Array | float, Array, Array], Array] | None = None
+    commands: Callable[[Array, Array], Array] | None = None
+
+
+def coriolis(m: Array, nu: Array) -> Array:
+    """C(nu) nu of a symmetric mass matrix, Fossen (2011), eq. 3.46.
+
+    With (p, h) = M nu it is (omega x p, v x p + omega x h).
+    """
+    p, h = np.split(m @ nu, 2)
+    v, w = np.split(nu, 2)
+    return np.concatenate([np.cross(w, p), np.cross(v, p) + np.cross(w, h)])
+
+
+def coriolis_form(m: Array) -> Array:
+    """The 6 x 21 matrix Q with C(nu) nu = Q (nu_i nu_j), i <= j."""
+    m, e = 0.5 * (m + m.T), np.eye(6)
+    columns = []
+    for i, j in zip(LEFT, RIGHT, strict=True):
+        square = coriolis(m, e[i])
+        mixed = coriolis(m, e[i] + e[j]) - square - coriolis(m, e[j])
+        columns.append(square if i == j else mixed)
+    return np.array(columns).T
+
+
+def lift_form(lift: Array) -> Array:
+    """The 6 x 21 matrix of hull lift, left-hand side: Y_uv u v, Z_uw u w, M_uw u w, N_uv u v."""
+    q = np.zeros((6, 21))
+    uv, uw = (int(np.flatnonzero((LEFT == 0) & (j == RIGHT))[0]) for j in (1, 2))
+    q[[1, 5, 2, 4], [uv, uv, uw, uw]] = lift
+    return q
+
+
+def rotation(attitude: Array) -> Array:
+    """Body to earth axes, ZYX Euler angles, Fossen (2011), eq. 2.18; shape (3, 3, ...)."""
+    (sf, st, sp), (cf, ct, cp) = np.sin(attitude), np.cos(attitude)
+    return np.array(
+        [
+            [cp * ct, cp * st * sf - sp * cf, cp * st * cf + sp * sf],
+            [sp * ct, sp * st * sf + cp * cf, sp * st * cf - cp * sf],
+            [-st, ct * sf, ct * cf],
+        ]
+    )
+
+
+@dataclass
+class Model:
+    """A vehicle with a fixed set of effects, in the form that is cheap to evaluate."""
+
+    vehicle: Vehicle
+    effects: Sequence[Effect] = ()
+    outside: Sequence[Outside] = ()
+    lag: Array = field(init=False)
+    delay: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        v = self.vehicle
+        n = len(v.names)
+        rigid, added = v.rigid.copy(), v.added.copy()
+        linear, quadratic, lift = v.linear.copy(), v.quadratic.copy(), np.zeros(4)
+        weight_moment, buoyancy, cob = v.weight * v.cog, v.buoyancy, v.cob.copy()
+        weight, point_buoyancy, point_moment = v.weight, 0.0, np.zeros(3)
+        self.lag, self.delay = v.lag.copy(), v.delay.copy()
+        self.deadband, self.saturation = v.deadband.copy(), v.saturation.copy()
+        self.gain, self.curve, self.inflow = np.ones(n), 0.0, 0.0
+        self.current, self.constant = np.zeros(3), np.zeros((6, 1))
+        self.waves: Effect | None = None
+        self.tether = 0.0
+        self.memory_row, self.memory_gain, self.memory_rate = 0, 0.0, 0.0
+
+        for e in self.effects:
+            value = e.parameters.get("value", 0.0)
+            row = DOFS.index(e.target) if e.target in DOFS else 0
+            match e.effect:
+                case "steady_current":
+                    self.current = self.current + e.vector("north", "east", "down")
+                case "waves":
+                    self.waves = e
+                case "tether_drag":
+                    self.tether += e.parameters["coefficient"]
+                case "added_mass":
+                    added[row, row] += value
+                case "payload":
+                    mass, r = e.parameters["mass"], e.vector("x", "y", "z")
+                    lifted = v.density * v.gravity * e.parameters.get("volume", 0.0)
+                    rigid += rigid_mass(mass, r, mass * (r @ r * np.eye(3) - np.outer(r, r)))
+                    weight += mass * v.gravity
+                    weight_moment = weight_moment + mass * v.gravity * r
+                    point_buoyancy += lifted
+                    point_moment += lifted * r
+                case "buoyancy":
+                    buoyancy += e.parameters["force"]
+                case "trim":
+                    cob += e.vector("x", "y", "z")
+                case "linear_damping":
+                    linear[row, row] += value
+                case "quadratic_damping":
+                    quadratic[row, row] += value
+                case "coupled_damping":
+                    to, by = str(e.target).split("<-")
+                    linear[DOFS.index(to), DOFS.index(by)] += value
+                case "hull_lift":
+                    lift += e.vector("Y_uv", "N_uv", "Z_uw", "M_uw")
+                case "fluid_memory":
+                    self.memory_row = row
+                    self.memory_gain = e.parameters["gain"]
+                    self.memory_rate = 1.0 / e.parameters["time_constant"]
+                case "constant_wrench":
+                    self.constant[row] += value
+                case "thruster_gain":
+                    chosen = np.array([e.target in (name, "all") for name in v.names])
+                    self.gain = np.where(chosen, self.gain * e.parameters["factor"], self.gain)
+                case "thrust_curve":
+                    self.curve += e.parameters["quadratic"]
+                case "thruster_lag":
+                    self.lag += e.parameters["time_constant"]
+                case "input_delay":
+                    self.delay += e.parameters["delay"]
+                case "deadband":
+                    self.deadband += e.parameters["width"]
+                case "saturation":
+                    self.saturation = np.minimum(self.saturation, e.parameters["limit"])
+                case "inflow_loss":
+                    self.inflow += e.parameters["per_speed"]
+                case name if name in SENSOR:
+                    pass
+                case name:
+                    raise ValueError(f"Effect `{name}` is not in the catalogue.")
+
+        free = np.ix_(v.free, v.free)
+        self.inverse = np.zeros((6, 6))
+        self.inverse[free] = np.linalg.inv((rigid + added)[free])
+        self.added = added
+        self.flows = bool(self.current.any())
+        self.rigid_form = -coriolis_form(rigid) if self.flows else None
+        carried = added if self.flows else rigid + added
+        self.water_form = -np.hstack([linear, quadratic, coriolis_form(carried) + lift_form(lift)])
+        self.hydrostatic = np.zeros((6, 3))
+        self.hydrostatic[:3] = (weight - buoyancy - point_buoyancy) * np.eye(3)
+        arm = weight_moment - buoyancy * cob - point_moment
+        self.hydrostatic[3:] = np.cross(arm, np.eye(3)).T
+        self.allocation = v.allocation / v.max_thrust
+
+    def drive(self, commands: Array) -> Array:
+        """Steady thrust [N] of commands (..., thrusters, B): deadband, saturation, curve, gain."""
+        dead, limit = self.deadband[:, None], self.saturation[:, None]
+        c = np.sign(commands) * np.maximum(np.abs(commands) - dead, 0.0)
+        c = np.clip(c, -limit, limit)
+        c = (1.0 - self.curve) * c + self.curve * c * np.abs(c)
+        return (self.vehicle.max_thrust * self.gain)[:, None] * c
+
+    def intervals(self, dt: float, step: float) -> list[tuple[float, float, Array]]:
+        """Steps within a sample, none across a command change.
+
+        Each: offset [s], length [s] and, per thruster, the row of the command relative to the
+        sample's.
+        """
+        ends = sorted({0.0, dt, *(round(float(d) % dt, 9) % dt for d in self.delay)})
+        out = []
+        for a, b in pairwise(ends):
+            pieces = math.ceil((b - a) / step - 1e-6)
+            h = (b - a) / pieces
+            shift = np.floor((0.5 * (a + b) - self.delay) / dt).astype(int)
+            out += [(a + k * h, h, shift) for k in range(pieces)]
+        return out
+
+    def decay(self, h: float) -> Array:
+        """Share of a thrust deviation left after h [s], (thrusters, 1); none without lag."""
+        lag = np.where(self.lag > 0.0, self.lag, 1.0)
+        return np.where(self.lag > 0.0, np.exp(-h / lag), 0.0)[:, None]
+
+    def derivative(self, t: Array | float, s: Array, thrust: Array, extra: Array | float) -> Array:
+        """d/dt of the 13 state rows at t [s] under the thrusts [N] and a further wrench."""
+        r = rotation(s[3:6])
+        nu, (p, q, yaw) = s[6:12], s[9:12]
+        through = nu
+        force = self.hydrostatic @ r[2] + self.constant + extra
+        if self.rigid_form is not None:
+            current = np.tensordot(self.current, r, axes=1)
+            through = nu.copy()
+            through[:3] -= current
+            turning = np.array(
+                [
+                    yaw * current[1] - q * current[2],
+                    p * current[2] - yaw * current[0],
+                    q * current[0] - p * current[1],
+                ]
+            )
+            force = force + self.rigid_form @ (nu[LEFT] * nu[RIGHT]) + self.added[:, :3] @ turning
+        water = np.concatenate([through, np.abs(through) * through, through[LEFT] * through[RIGHT]])
+        if self.inflow:
+            thrust = thrust * (1.0 - self.inflow * np.abs(self.vehicle.direction @ through[:3]))
+        force = force + self.allocation @ thrust + self.water_form @ water
+        if self.tether:
+            v = through[:3]
+            force[:3] -= self.tether * np.sqrt((v * v).sum(0)) * v
+        if self.waves is not None:
+            w = self.waves.parameters
+            swell = np.sin(2.0 * np.pi * t / w["period"] + w["phase"])
+            force[:3] += (w["north"] * r[0] + w["east"] * r[1]) * swell
+        for o in self.outside:
+            if o.wrench is not None:
+                force = force + o.wrench(t, s, through)
+
+        ds = np.zeros_like(s)
+        if self.memory_rate:
+            force[self.memory_row] -= s[12]
+            ds[12] = self.memory_rate * (self.memory_gain * through[self.memory_row] - s[12])
+        ds[:3] = (r * nu[:3]).sum(1)
+        sf, cf, ct, tt = np.sin(s[3]), np.cos(s[3]), np.cos(s[4]), np.tan(s[4])
+        side = q * sf + yaw * cf
+        ds[3] = p + side * tt
+        ds[4] = q * cf - yaw * sf
+        ds[5] = side / ct
+        ds[6:12] = self.inverse @ force
+        return ds
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulated batch at its samples: `states` (K, 13, B), `accelerations` (K, 6, B)."""
+
+    states: Array
+    accelerations: Array
+
+    def signals(self) -> Array:
+        """Pose, velocity and acceleration of the samples, (K, 18, B)."""
+        return np.concatenate([self.states[:, :12], self.accelerations], axis=1)
+
+
+def simulate(
+    schedule: Sequence[tuple[int, Model]],
+    commands: Array,
+    start: Array,
+    samples: int,
+    *,
+    t0: Array | float = 0.0,
+    lead: int = 0,
+    thrust: Array | float = 0.0,
+    disturbance: Array | None = None,
+    dt: float = 0.1,
+    step: float = 0.025,
+) -> Run:
+    """Classical Runge-Kutta from `start` (13, B) over `samples` rows of held commands.
+
+    - `schedule`: models and the sample from which each acts, the first from 0.
+    - `commands` (rows, thrusters, B): row `lead` is the command of the first sample; the rows
+      before it serve the delay, and the first row held for ever before.
+    - `thrust`: thrust of lagging thrusters at the start [N].
+    - `disturbance` (rows, 6, B): wrench held over each sample [N, N m].
+
+    The acceleration of a sample is that of its instant with the command of that sample already
+    acting.
+    """
+    n = commands.shape[1]
+    each = np.arange(n)
+    s = start.copy()
+    states = np.empty((samples, *s.shape))
+    accelerations = np.empty((samples, 6, s.shape[1]))
+    thrust = np.broadcast_to(np.asarray(thrust, float), commands.shape[1:]) + 0.0
+    ends = [k for k, _ in schedule[1:]] + [samples]
+    for (first, model), last in zip(schedule, ends, strict=True):
+        drive = model.drive(commands)
+        steps = [
+            (o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in model.intervals(dt, step)
+        ]
+        alive = model.decay(0.0)
+        lagging = bool(alive.any())
+        for k in range(first, last):
+            extra = 0.0 if disturbance is None else disturbance[lead + k]
+            for number, (offset, h, shift, half, whole) in enumerate(steps):
+                t = t0 + k * dt + offset
+                target = drive[np.maximum(lead + k + shift, 0), each]
+                f0 = fm = f1 = target
+                if lagging:
+                    away = thrust - target
+                    f0, fm, f1 = target + alive * away, target + half * away, target + whole * away
+                a = model.derivative(t, s, f0, extra)
+                if number == 0:
+                    states[k] = s
+                    accelerations[k] = a[6:12]
+                b = model.derivative(t + 0.5 * h, s + 0.5 * h * a, fm, extra)
+                c = model.derivative(t + 0.5 * h, s + 0.5 * h * b, fm, extra)
+                d = model.derivative(t + h, s + h * c, f1, extra)
+                s = s + h / 6.0 * (a + 2.0 * (b + c) + d)
+                thrust = f1
+    return Run(states, accelerations)
+
+
+def thrust_states(model: Model, commands: Array, thrust: Array | float, dt: float = 0.1) -> Array:
+    """Thrust [N] at every sample just before its command acts, (K, thrusters, B)."""
+    drive = model.drive(commands)
+    each = np.arange(commands.shape[1])
+    now = np.broadcast_to(np.asarray(thrust, float), commands.shape[1:]) + 0.0
+    out = np.empty_like(drive)
+    steps = [(shift, model.decay(h)) for _, h, shift in model.intervals(dt, dt)]
+    for k in range(len(commands)):
+        out[k] = now
+        for shift, left in steps:
+            target = drive[np.maximum(k + shift, 0), each]
+            now = target + left * (now - target)
+    return out
+
+
+def observed(effects: Sequence[Effect], t: Array, signals: Array) -> Array:
+    """What sensors without noise log of the true signals (K, 18, B) at the times t (K,)."""
+    out = signals.copy()
+    pose, v, w = out[:, :6], out[:, 6:9], out[:, 9:12]
+    for name in SENSOR:
+        for e in (x for x in effects if x.effect == name):
+            on = t >= (-np.inf if e.since is None else e.since)
+            if name == "velocity_lever_arm":
+                v[on] += np.cross(w[on], e.vector("x", "y", "z")[None, :, None], axis=1)
+            elif name == "velocity_misalignment":
+                turn = rotation(np.array([0.0, 0.0, e.parameters["yaw"]]))
+                v[on] = np.einsum("ij,kjb->kib", turn, v[on])
+            elif name == "velocity_scale":
+                v[on] *= e.parameters["factor"]
+            elif name == "velocity_in_earth_axes":
+                f = e.parameters["fraction"]
+                earth = np.einsum("ijkb,kjb->kib", rotation(pose[on, 3:6].swapaxes(0, 1)), v[on])
+                v[on] = (1.0 - f) * v[on] + f * earth
+            else:
+                w[on] += e.vector("p", "q", "r")[:, None]
+    return out

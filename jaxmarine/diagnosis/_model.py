@@ -1,0 +1,279 @@
+"""The model during the search: coefficients of the file under a prior, and the members found so far."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..effects import AddedMass, LinearDamping, QuadraticDamping
+from ..fitting import Cut, Problem, Refined, Task, linearise, refine_windows
+from ..logs import Log
+from ..vehicle import Vehicle
+from ._saturated import Layout, SaturatedPlant
+from ._score import Reduced
+
+# Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
+SLOTS = 44
+# Members with a beginning of their own that the compiled screening has columns for.
+BEGINNINGS = 6
+# How far coefficients of a vehicle file are commonly wrong, relative to their value.
+FILE_ERROR = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Beginning:
+    """When an effect begins: the log's index and the time in it [s]."""
+
+    log: int
+    time: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """A suspect that is in the model, acting always or from a beginning on."""
+
+    suspect: int
+    since: Beginning | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """Members, and where the last refinement left all numbers.
+
+    - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
+    - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
+    """
+
+    members: tuple[Member, ...]
+    z: Float[np.ndarray, " z"]
+    delta: Array
+    cost: float
+    refined: Refined | None = None
+
+
+class Workbench:
+    """The saturated problem with its compiled programs; everything the search asks of the windows.
+
+    It holds no state of the search: a `Model` goes in, a `Model` comes out.
+    """
+
+    def __init__(self, vehicle: Vehicle, families, layout: Layout, data: Cut, gates: np.ndarray):
+        self.vehicle = vehicle
+        self.layout = layout
+        self.data = data
+        # Effects of the vehicle itself that begin within the logs make segments of their own: [logs][times].
+        self.own_gates = gates
+        self.families = families
+        self.base = _base_coefficients(vehicle, layout)
+        self.count = data.windows.count
+        self.samples = int((np.asarray(data.windows.weight) > 0).sum())
+        weight = np.asarray(data.windows.weight)
+        self.accelerations = bool((weight[..., 12:] > 0).any())
+        self.ends = data.starts + data.length
+        self.window_log = np.asarray(data.windows.log)
+
+    # --- the affine map of z -------------------------------------------------------------------
+
+    def width(self, members: Sequence[Member]) -> int:
+        return len(self.base) + sum(self.layout.columns[m.suspect].shape[1] for m in members)
+
+    def slices(self, members: Sequence[Member]) -> list[slice]:
+        """Where each member's parameters lie in z."""
+        out, at = [], len(self.base)
+        for member in members:
+            n = self.layout.columns[member.suspect].shape[1]
+            out.append(slice(at, at + n))
+            at += n
+        return out
+
+    def beginnings(self, members: Sequence[Member]) -> list[Beginning]:
+        found = {m.since for m in members if m.since is not None}
+        return sorted(found, key=lambda b: (b.log, b.time))
+
+    def _segments(self, members: Sequence[Member]) -> tuple[list[np.ndarray], int]:
+        """Per log and sample the number of beginnings passed; and how many segments are compiled for."""
+        begun = self.beginnings(members)
+        per_log = []
+        for g, log in enumerate(self.data.logs):
+            passed = np.zeros(len(log.t), int)
+            for b in begun:
+                passed += (g > b.log) | ((g == b.log) & (log.t >= b.time - 1e-9))
+            per_log.append(passed)
+        return per_log, 1 if not begun else 4
+
+    def spread(self, members: Sequence[Member], width: int = SLOTS) -> np.ndarray:
+        begun = self.beginnings(members)
+        segments = 1 if not begun else 4
+        out = np.zeros((segments, self.layout.size, width))
+        for j, coefficient in enumerate(self.base):
+            out[:, coefficient.index, j] = 1.0
+        for member, where in zip(members, self.slices(members), strict=True):
+            first = 0 if member.since is None else begun.index(member.since) + 1
+            out[first:, :, where] = self.layout.columns[member.suspect]
+        return out
+
+    def problem(self, members: Sequence[Member]) -> Problem:
+        per_log, segments = self._segments(members)
+        records = self.data.records
+        if segments > 1:
+            steps = records.t.shape[1]
+            rows = [np.repeat(s, self.data.split) for s in per_log]
+            rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
+            records = dataclasses.replace(records, segment=jnp.asarray(np.array(rows)))
+        gates = np.ones((segments, len(self.vehicle.placed)))
+        return Problem(
+            SaturatedPlant(self.vehicle, self.families, jnp.asarray(gates)),
+            records,
+            self.data.windows,
+            self.accelerations,
+        )
+
+    def task(self, members: Sequence[Member], free_base: bool = True) -> Task:
+        segments = 1 if not self.beginnings(members) else 4
+        precision = np.ones(SLOTS)
+        used = self.width(members)
+        precision[: len(self.base)] = [1 / c.prior**2 if free_base else 1e12 / c.prior**2 for c in self.base]
+        # A trace of curvature keeps parameters in check that the data do not determine.
+        precision[len(self.base) : used] = 1e-8
+        return Task(
+            self.problem(members),
+            jnp.tile(jnp.asarray(self.layout.neutral), (segments, 1)),
+            jnp.asarray(self.spread(members)),
+            jnp.asarray(precision),
+            jnp.zeros(SLOTS),
+        )
+
+    # --- what the search asks ------------------------------------------------------------------
+
+    def start(self) -> Model:
+        return Model((), np.zeros(len(self.base)), jnp.zeros((self.count, 12)), np.inf)
+
+    def refine(self, model: Model, max_steps: int = 25, free_base: bool = True) -> Model:
+        """Gauss-Newton on all numbers of the model."""
+        z = np.zeros(SLOTS)
+        z[: len(model.z)] = model.z
+        out = refine_windows(
+            self.task(model.members, free_base), jnp.asarray(z), model.delta, max_steps
+        )
+        cost = float(out.cost)
+        return Model(model.members, np.asarray(out.z)[: len(model.z)], out.delta, cost, out)
+
+    def promise(self, model: Model) -> float:
+        """Cost that the next Gauss-Newton step promises."""
+        z = np.zeros(SLOTS)
+        z[: len(model.z)] = model.z
+        return float(_promised(self.task(model.members), jnp.asarray(z), model.delta))
+
+    def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
+        """The model with one member more, its parameters at `value` minus neutral."""
+        return dataclasses.replace(
+            model, members=(*model.members, member), z=np.concatenate([model.z, value]), cost=np.inf, refined=None
+        )
+
+    def without_member(self, model: Model, which: int) -> Model:
+        where = self.slices(model.members)[which]
+        members = tuple(m for i, m in enumerate(model.members) if i != which)
+        return dataclasses.replace(model, members=members, z=np.delete(model.z, where), cost=np.inf, refined=None)
+
+    def screen(self, model: Model) -> Reduced:
+        """Reduced statistics of every parameter of the catalogue at the model, then of members that begin."""
+        begun = [m for m in model.members if m.since is not None]
+        theta, spread = self._screening(model, begun)
+        stats = _linearise(self.problem(model.members), theta, spread, model.delta)
+        chi2, g, h = stats.reduced()
+        return Reduced(np.asarray(chi2), np.asarray(g), np.asarray(h))
+
+    def _screening(self, model: Model, begun: Sequence[Member]):
+        spread = self.spread(model.members)
+        theta = self.layout.neutral + np.einsum("spz,z->sp", spread[:, :, : len(model.z)], model.z)
+        segments, size = theta.shape
+        out = np.zeros((segments, size, size + BEGINNINGS))
+        out[:, :, :size] = np.eye(size)
+        at = size
+        for member, where in zip(model.members, self.slices(model.members), strict=True):
+            if member in begun:
+                width = where.stop - where.start
+                out[:, :, at : at + width] = spread[:, :, where]
+                at += width
+        return jnp.asarray(theta), jnp.asarray(out)
+
+    def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Columns (in the screening's order) that the model already has; prior precision; z."""
+        size = self.layout.size
+        columns = np.zeros((size + BEGINNINGS, len(model.z)))
+        for j, coefficient in enumerate(self.base):
+            columns[coefficient.index, j] = 1.0
+        at = size
+        for member, where in zip(model.members, self.slices(model.members), strict=True):
+            if member.since is None:
+                columns[:size, where] = self.layout.columns[member.suspect]
+            else:
+                width = where.stop - where.start
+                columns[at : at + width, where] = np.eye(width)
+                at += width
+        precision = np.full(len(model.z), 1e-8)
+        precision[: len(self.base)] = [1 / c.prior**2 for c in self.base]
+        return columns, precision, model.z
+
+    def own(self, suspect: int) -> np.ndarray:
+        """A suspect's columns in the screening's order."""
+        columns = self.layout.columns[suspect]
+        return np.concatenate([columns, np.zeros((BEGINNINGS, columns.shape[1]))])
+
+
+@eqx.filter_jit
+def _linearise(problem, theta, spread, delta):
+    return linearise(problem, theta, spread, delta)
+
+
+@eqx.filter_jit
+def _promised(task: Task, z, delta):
+    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta)
+    chi2, g, h = stats.reduced()
+    off = z - task.mean
+    g = g.sum(0) + task.precision * off
+    h = h.sum(0) + jnp.diag(task.precision)
+    least = chi2.sum() + (task.precision * off * off).sum()
+    return 0.5 * (least - g @ jax.scipy.linalg.solve(h, g, assume_a="pos"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient:
+    """A coefficient that the file has: where it lies, its value there, and the width of its prior."""
+
+    label: str
+    index: int
+    value: float
+    prior: float
+    unit: str
+
+
+def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
+    """Added mass and damping of each free axis, with priors of a tenth of their value.
+
+    Of the total mass for added mass. Where the file says zero, the prior is what brakes the axis by 2 %
+    a second (linear), or at 1 m/s or rad/s (quadratic).
+    """
+    mass = np.diag(np.asarray(vehicle.mass_matrix))
+    linear = np.diag(np.asarray(vehicle.damping.linear))
+    quadratic = np.diag(np.asarray(vehicle.damping.quadratic))
+    kinds = (
+        (AddedMass, mass, np.diag(np.asarray(vehicle.added_mass))),
+        (LinearDamping, linear, linear),
+        (QuadraticDamping, quadratic, quadratic),
+    )
+    out = []
+    for i, suspect in enumerate(layout.suspects):
+        for kind, scale, value in kinds:
+            if suspect.effect is kind:
+                place = int(np.flatnonzero(layout.columns[i][:, 0])[0])
+                axis = ("surge", "sway", "heave", "roll", "pitch", "yaw").index(str(suspect.target))
+                size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
+                out.append(Coefficient(suspect.label, place, float(value[axis]), size, kind.units["value"]))
+    return tuple(out)
+
+

@@ -1,0 +1,187 @@
+"""What a diagnosis says, as plain values: `diagnosis.json` is made from this and nothing else."""
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..vehicle import Vehicle
+
+Verdict = Literal["nothing_found", "explained", "partly_explained", "unexplained"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A fitted number with its standard error, in `unit`."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternative:
+    """Another cause that was weighed, with its own log evidence over the model without either."""
+
+    effect: str
+    target: str | None
+    log_evidence: float
+    indistinguishable: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One cause: what it is, where, since when, how large, how sure."""
+
+    effect: str
+    target: str | None
+    since: float | None
+    since_log: str | None
+    parameters: dict[str, Parameter]
+    log_evidence: float
+    alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def label(self) -> str:
+        return self.effect if self.target is None else f"{self.effect}:{self.target}"
+
+
+@dataclasses.dataclass(frozen=True)
+class BeforeAfter:
+    """A root-mean-square error before and after."""
+
+    before: float
+    after: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Gain:
+    """What the extension buys on the test log: open-loop predictions over `horizon` seconds.
+
+    `ratio` is that of the error over all measured channels, each in units of its noise. `held_out` is
+    False where the test log is also a training log.
+    """
+
+    horizon: float
+    position: BeforeAfter | None  # [m]
+    velocity: BeforeAfter | None  # [m/s]
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    held_out: bool
+    starts: int  # number of predictions
+
+
+@dataclasses.dataclass(frozen=True)
+class Weighed:
+    """One line of a round's ranking: a suspect, what it would save, and why it was (not) taken."""
+
+    label: str
+    log_evidence: float
+    saved_chi2: float  # over all windows, after refitting everything else
+    parameters: dict[str, float]
+    remark: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Recalibrated:
+    """A coefficient of the file that was refitted without being a finding."""
+
+    label: str  # such as linear_damping:surge
+    file_value: float
+    value: float
+    std: float
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Predictions:
+    """Open-loop predictions on the test log, for the pictures.
+
+    - `times` [starts, steps]: log time [s] of each step after a start; the prediction begins at `begin`
+      (an index along steps): what lies before it is where the start state was estimated.
+    - `measured`, `before`, `after` [starts, steps, 18]: in the order of `_types.CHANNELS`; NaN where not
+      measured. `noise` [18]: standard deviation per channel, NaN where not measured.
+    """
+
+    times: Float[np.ndarray, "starts steps"]
+    begin: int
+    measured: Float[np.ndarray, "starts steps 18"]
+    before: Float[np.ndarray, "starts steps 18"]
+    after: Float[np.ndarray, "starts steps 18"]
+    noise: Float[np.ndarray, "18"]
+
+
+@dataclasses.dataclass(frozen=True)
+class MissingWrench:
+    """The wrench that a model lacks over the training logs, estimated from the windows.
+
+    - `log`, `t` [knots]: which log (index) and time [s]; `wrench`, `std` [knots, 6]: in SI units, NaN on
+      locked axes; `velocity` [knots, 6]: body velocity there.
+    """
+
+    log: np.ndarray
+    t: Float[np.ndarray, " knots"]
+    wrench: Float[np.ndarray, "knots 6"]
+    std: Float[np.ndarray, "knots 6"]
+    velocity: Float[np.ndarray, "knots 6"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer.
+
+    - `rounds`: per round of the search, the suspects in the order of their evidence.
+    - `groups`: sets of labels that these logs cannot tell apart.
+    - `depends_on`: signals that the residual depends on after the named findings and before any learned
+      term; `white`: nothing but sensor noise is left.
+    - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; 1 is noise.
+    - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    gain: Gain
+    white: bool
+    depends_on: tuple[str, ...]
+    vehicle: Vehicle
+    extended: Vehicle
+    recalibrated: tuple[Recalibrated, ...]
+    rounds: tuple[tuple[Weighed, ...], ...]
+    groups: tuple[tuple[str, ...], ...]
+    misfit_before: float
+    misfit_after: float
+    predictions: Predictions
+    missing_before: MissingWrench
+    missing_after: MissingWrench
+    train: tuple[str, ...]
+    test: str
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict:
+        """The content of `diagnosis.json` (schema 1)."""
+
+        def pair(value: BeforeAfter | None):
+            return None if value is None else dataclasses.asdict(value)
+
+        def finding(f: Finding) -> dict:
+            out = dataclasses.asdict(f)
+            out["alternatives"] = list(out["alternatives"])
+            if f.since_log is None:
+                del out["since_log"]
+            return out
+
+        return {
+            "schema": 1,
+            "verdict": self.verdict,
+            "findings": [finding(f) for f in self.findings],
+            "gain": {
+                "horizon_s": self.gain.horizon,
+                "position_rmse_m": pair(self.gain.position),
+                "velocity_rmse_m_s": pair(self.gain.velocity),
+                "ratio": self.gain.ratio,
+                "ratio_ci95": list(self.gain.ratio_ci95),
+                "held_out": self.gain.held_out,
+            },
+            "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
+        }

@@ -1,0 +1,74 @@
+"""The saturated model: the vehicle with every effect of the catalogue in it, at its neutral value."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..effects import CATALOGUE, AbstractEffect, Suspect
+from ..vehicle import Plant, Vehicle
+
+
+class SaturatedPlant(eqx.Module):
+    """`plant_of` for `fitting.Problem`: parameters of the whole catalogue to a plant.
+
+    - `gates` [segments, placed]: which effects of the vehicle itself act in a segment.
+    """
+
+    vehicle: Vehicle
+    families: tuple[AbstractEffect, ...]
+    gates: Float[Array, "segments placed"]
+
+    def __call__(self, theta: Float[Array, " parameters"], segment) -> Plant:
+        _, unravel = jax.flatten_util.ravel_pytree(self.families)
+        return self.vehicle.plant(self.gates[segment], extra=unravel(theta))
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Where each suspect's parameters lie in the flat vector of the saturated model."""
+
+    neutral: Float[np.ndarray, " parameters"]
+    suspects: tuple[Suspect, ...]
+    columns: tuple[Float[np.ndarray, "parameters own"], ...]  # one per suspect: parameters per z
+
+    @property
+    def size(self) -> int:
+        return len(self.neutral)
+
+    def index(self, label: str) -> int:
+        """The suspect of that label."""
+        return next(i for i, suspect in enumerate(self.suspects) if suspect.label == label)
+
+    def neutral_of(self, i: int) -> np.ndarray:
+        """Neutral values of a suspect's parameters, in the order of its slots."""
+        return np.array([self.neutral[np.flatnonzero(column)[0]] for column in self.columns[i].T])
+
+
+def saturate(
+    vehicle: Vehicle, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE
+) -> tuple[tuple[AbstractEffect, ...], Layout]:
+    """The catalogue's families at their neutral value, and the layout of their parameters."""
+    families = tuple(cls.neutral(vehicle) for cls in catalogue)
+    sizes = [sum(np.size(leaf) for leaf in jax.tree.leaves(family)) for family in families]
+    offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    flat, _ = jax.flatten_util.ravel_pytree(families)
+    suspects, columns = [], []
+    for cls, offset in zip(catalogue, offsets, strict=True):
+        for suspect in cls.suspects(vehicle):
+            column = np.zeros((len(flat), len(suspect.slots)))
+            for j, slots in enumerate(suspect.slots.values()):
+                column[int(offset) + np.array(slots), j] = 1.0
+            suspects.append(suspect)
+            columns.append(column)
+    return families, Layout(np.asarray(flat), tuple(suspects), tuple(columns))
+
+
+def neutral_theta(layout: Layout, segments: int) -> Array:
+    """The neutral parameters of each segment."""
+    return jnp.tile(jnp.asarray(layout.neutral), (segments, 1))

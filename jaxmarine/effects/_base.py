@@ -1,0 +1,170 @@
+"""What an effect is, and what is asked of one.
+
+An effect is one physical cause. It belongs to one stage of the vehicle, is an Equinox module whose
+array fields are its parameters, and has a neutral value at which it changes nothing. A new effect is
+one class: derive from the stage's interface, name it, say its parameters' units, its neutral value
+and its suspects. The classical terms of a vehicle file and learned networks enter the same way.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol, Self
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import DOFS, Matrix3, Scalar, Vector3, Velocity, Wrench
+from ..physics import Drive, Load
+
+
+class Craft(Protocol):
+    """What an effect may know of the vehicle that it is placed in."""
+
+    @property
+    def dof(self) -> tuple[str, ...]: ...
+    @property
+    def thruster_names(self) -> tuple[str, ...]: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspect:
+    """One accusation: an effect, on a target, with the parameters that would have to be fitted.
+
+    - `slots`: per parameter, the places in the flattened effect that it fills (several where one
+      number acts on several thrusters).
+    - `starts`: values, besides the neutral one, from which a fit is to begin; needed where the neutral
+      value has no useful slope (a lag, a saturation) or the usual size is far from it.
+    """
+
+    effect: type["AbstractEffect"]
+    target: str | None
+    slots: Mapping[str, tuple[int, ...]]
+    starts: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def label(self) -> str:
+        return self.effect.name if self.target is None else f"{self.effect.name}:{self.target}"
+
+
+class AbstractEffect(eqx.Module):
+    """One cause; see the module's text. All fields are arrays of parameters."""
+
+    name: ClassVar[str]
+    units: ClassVar[Mapping[str, str]]
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best
+    advice: ClassVar[str] = ""  # what to look at on the boat
+
+    @classmethod
+    @abc.abstractmethod
+    def neutral(cls, craft: Craft) -> Self:
+        """The effect at the value at which it changes nothing."""
+
+    @classmethod
+    @abc.abstractmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        """The accusations that this effect can make on that vehicle."""
+
+    def parameters(self) -> dict[str, Any]:
+        """The fields by name."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+
+class Motion(eqx.Module):
+    """Where the vehicle is and how it moves, as effects on the hull see it.
+
+    - `position` [m] NED, `rotation` body to world, `nu` over ground, `nu_r` relative to the water,
+      `t` [s] the log's own time, `command` what each thruster was told.
+    - `lagged`: `nu_r` passed through the first-order lag of fluid memory.
+    """
+
+    position: Vector3
+    rotation: Matrix3
+    nu: Velocity
+    nu_r: Velocity
+    lagged: Velocity
+    t: Scalar
+    command: Float[Array, " thrusters"]
+
+
+class Readings(eqx.Module):
+    """What the sensors show: position [m], attitude (phi, theta, psi) [rad], velocities, accelerations."""
+
+    position: Vector3
+    attitude: Vector3
+    nu: Velocity
+    nu_dot: Velocity
+
+
+class DriveEffect(AbstractEffect):
+    """Stages command and thruster: changes how commands become thrust."""
+
+    @abc.abstractmethod
+    def __call__(self, drive: Drive) -> Drive: ...
+
+
+class WaterEffect(AbstractEffect):
+    """Stage water: velocity of the water in earth axes [m/s], added to that of the others."""
+
+    @abc.abstractmethod
+    def __call__(self) -> Vector3: ...
+
+
+class LoadEffect(AbstractEffect):
+    """Stage inertia: changes what the vehicle carries, its masses, weight and buoyancy."""
+
+    @abc.abstractmethod
+    def __call__(self, load: Load) -> Load: ...
+
+
+class WrenchEffect(AbstractEffect):
+    """Stage wrench: a wrench on the hull at `o`, body axes, on the right-hand side [N, N m]."""
+
+    @abc.abstractmethod
+    def __call__(self, motion: Motion) -> Wrench: ...
+
+
+class SensorEffect(AbstractEffect):
+    """Stage sensor: changes what is logged, not what happens."""
+
+    @abc.abstractmethod
+    def __call__(self, readings: Readings, rotation: Matrix3) -> Readings: ...
+
+
+def place(suspect: Suspect, craft: Craft, values: Mapping[str, float]) -> AbstractEffect:
+    """The effect with the suspect's parameters at `values` and all others neutral."""
+    neutral = suspect.effect.neutral(craft)
+    flat, unravel = jax.flatten_util.ravel_pytree(neutral)
+    for name, value in values.items():
+        flat = flat.at[np.array(suspect.slots[name])].set(value)
+    return unravel(flat)
+
+
+def blend(neutral: AbstractEffect, effect: AbstractEffect, gate: Scalar) -> AbstractEffect:
+    """The effect where `gate` is 1, its neutral value where it is 0."""
+    return jax.tree.map(lambda n, e: n + gate * (e - n), neutral, effect)
+
+
+def zeros(count: int) -> Array:
+    return jnp.zeros(count, dtype=jnp.result_type(float))
+
+
+def scalar(value: float = 0.0) -> Array:
+    return jnp.asarray(value, dtype=jnp.result_type(float))
+
+
+def free(craft: Craft, *dofs: str) -> bool:
+    """Whether any of these degrees of freedom can move."""
+    return any(dof in craft.dof for dof in dofs)
+
+
+def per_dof(effect: type[AbstractEffect], craft: Craft) -> tuple[Suspect, ...]:
+    """One suspect per free degree of freedom, for an effect with a field `value` of six."""
+    return tuple(
+        Suspect(effect, dof, {"value": (i,)}) for i, dof in enumerate(DOFS) if dof in craft.dof
+    )

@@ -1,0 +1,213 @@
+"""Stages command and thruster: what happens between a command and the thrust.
+
+They act in the order delay, deadband, saturation, curve, gain, lag, inflow, whatever the order in
+which they stand in the vehicle (`physics.Drive`).
+"""
+
+import dataclasses
+from typing import Self
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Scalar
+from ..physics import Drive
+from ._base import Craft, DriveEffect, Suspect, scalar
+
+
+def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
+    """The single suspect of an effect with one number for all thrusters."""
+    if not craft.thruster_names:
+        return ()
+    return (Suspect(cls, None, {name: (0,)}, tuple({name: start} for start in starts)),)
+
+
+class InputDelay(DriveEffect):
+    """Every command acts `delay` seconds late: c(t - delay). Neutral: 0.
+
+    Source: thesis sec. 5.3.1 (two samples of delay); pure transport delay.
+    """
+
+    name = "input_delay"
+    units = {"delay": "s"}
+    confused_with = ("thruster_lag",)
+    shown_by = "abrupt changes of command, logged at 10 Hz or faster"
+    advice = "look at the transport and scheduling of commands, and at the log's clocks"
+
+    delay: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "delay", 0.3)
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, delay=drive.delay + self.delay)
+
+
+class Deadband(DriveEffect):
+    """Small commands do nothing: c -> sign(c) max(|c| - width, 0). Neutral: 0.
+
+    Source: the thruster block of Blue Robotics ESCs behaves so; Bessa et al. (2006), dead-zone thrusters.
+    """
+
+    name = "deadband"
+    units = {"width": "1"}
+    confused_with = ("thrust_curve", "thruster_gain")
+    shown_by = "many small commands of both signs beside large ones"
+    advice = "look at the motor controllers' dead zone and start-up threshold"
+
+    width: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "width")
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, deadband=drive.deadband + self.width)
+
+
+class Saturation(DriveEffect):
+    """Large commands are clipped at `limit`. Neutral: 10, beyond which no command lies.
+
+    Source: amplitude limit of the actuator; Fossen (2021), sec. 9.1.
+    """
+
+    name = "saturation"
+    units = {"limit": "1"}
+    confused_with = ("thrust_curve", "thruster_gain")
+    shown_by = "full commands beside half ones"
+    advice = "look at current limits, battery voltage and the command's scaling"
+
+    limit: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(10.0))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "limit", 0.8, 0.5)
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, saturation=jnp.minimum(drive.saturation, self.limit))
+
+
+class ThrustCurve(DriveEffect):
+    """Thrust is not linear in the command: max_thrust ((1 - quadratic) c + quadratic c |c|). Neutral: 0.
+
+    Source: Fossen (2021), eq. 9.4 (thrust grows with n|n|).
+    """
+
+    name = "thrust_curve"
+    units = {"quadratic": "1"}
+    confused_with = ("deadband", "saturation", "thruster_gain:all")
+    shown_by = "small and large commands in equal parts"
+    advice = "measure thrust against command on a stand"
+
+    quadratic: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "quadratic")
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, quadratic=drive.quadratic + self.quadratic)
+
+
+class ThrusterGain(DriveEffect):
+    """A thruster gives `factor` times the thrust of the file. Neutral: 1; near 0 commands are not acted on.
+
+    Source: loss-of-effectiveness fault; Omerdic and Roberts, Control Engineering Practice 12 (2004).
+    """
+
+    name = "thruster_gain"
+    units = {"factor": "1"}
+    confused_with = ("inflow_loss", "thrust_curve", "velocity_scale")
+    shown_by = "each thruster driven by itself"
+    advice = "inspect the propeller and the motor named: weed, damage, a loose coupling, a dead phase"
+
+    factor: Float[Array, " thrusters"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(jnp.ones(len(craft.thruster_names), jnp.result_type(float)))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        names = craft.thruster_names
+        each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
+        together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
+        return (*each, together) if len(names) > 1 else each
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, gain=drive.gain * self.factor)
+
+
+class ThrusterLag(DriveEffect):
+    """Thrust follows its goal with a first-order lag, `time_constant` T' = T_goal - T. Neutral: 0.
+
+    Source: Yoerger, Cooke and Slotine (1990); Fossen (2021), eq. 9.10.
+    """
+
+    name = "thruster_lag"
+    units = {"time_constant": "s"}
+    confused_with = ("input_delay",)
+    shown_by = "abrupt changes of command, logged at 10 Hz or faster"
+    advice = "look at the motor controllers' ramp and at the propellers' inertia"
+
+    time_constant: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "time_constant", 0.15, 0.6)
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, lag=drive.lag + self.time_constant)
+
+
+class InflowLoss(DriveEffect):
+    """Thrust falls with the speed along the thruster: times 1 - per_speed |n . v_r|. Neutral: 0.
+
+    `v_r` is the velocity of `o` through the water. Source: Fossen (2021), sec. 9.2 (advance speed).
+    """
+
+    name = "inflow_loss"
+    units = {"per_speed": "s/m"}
+    confused_with = ("tether_drag", "quadratic_damping", "thruster_gain:all")
+    shown_by = "the same command at different speeds, also against the motion"
+    advice = "use the propeller's open-water curve: thrust is lost to the inflow"
+
+    per_speed: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft, "per_speed")
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, inflow=drive.inflow + self.per_speed)

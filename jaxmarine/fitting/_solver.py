@@ -1,0 +1,171 @@
+"""Gauss-Newton over windows, inside optimistix' loop.
+
+optimistix' own Levenberg-Marquardt would see the initial states of all windows as one dense block of
+unknowns: for 75 windows 900 columns beside the 20 that matter. This solver is handed the normal
+equations window by window, eliminates each window's initial state exactly, and keeps optimistix'
+loop, results and statistics.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from ._linearise import Problem, Statistics, linearise
+
+
+class Task(eqx.Module):
+    """What is solved: the problem, the affine map of z, and a normal prior on z.
+
+    `precision` is the prior's inverse variance; an unused z has precision 1 and an empty map.
+    """
+
+    problem: Problem
+    theta: Float[Array, "segments parameters"]
+    spread: Float[Array, "segments parameters z"]
+    precision: Float[Array, " z"]
+    mean: Float[Array, " z"]
+
+
+Unknowns = tuple[Float[Array, " z"], Float[Array, "windows 12"]]
+
+
+def residual_statistics(y: Unknowns, task: Task) -> tuple[Float[Array, ""], Statistics]:
+    """Half the chi-square with the prior, and the statistics of the windows."""
+    z, delta = y
+    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta)
+    off = z - task.mean
+    return 0.5 * (stats.chi2.sum() + (task.precision * off * off).sum()), stats
+
+
+class _State(eqx.Module):
+    y_eval: Unknowns
+    stats: Statistics
+    cost: Float[Array, ""]
+    predicted: Float[Array, ""]
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    first: Bool[Array, ""]
+    terminate: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
+class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
+    """Damped Gauss-Newton on `residual_statistics`; damping after Nielsen (1999), scaled by Marquardt (1963).
+
+    It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, or
+    where damping of 1e8 finds no decrease.
+    """
+
+    rtol: float = 1e-9
+    atol: float = 1e-2
+    norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
+        del fn, args, options, f_struct, tags
+        big = jnp.asarray(jnp.inf, jnp.result_type(float))
+        return _State(
+            y_eval=y,
+            stats=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
+            cost=big,
+            predicted=big,
+            damping=jnp.asarray(1e-4, big.dtype),
+            growth=jnp.asarray(2.0, big.dtype),
+            first=jnp.array(True),
+            terminate=jnp.array(False),
+            steps=jnp.array(0),
+        )
+
+    def step(self, fn, y, args: Task, options, state: _State, tags):
+        del options, tags
+        cost, stats = fn(state.y_eval, args)
+        cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+        better = (cost < state.cost) | state.first
+        ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)
+        eased = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.clip(ratio, 0.0, 1.0) - 1) ** 3)
+        damping = jnp.where(
+            state.first, state.damping, jnp.where(better, eased, state.damping * state.growth)
+        )
+        growth = jnp.where(better, 2.0, 2.0 * state.growth)
+        y = jax.tree.map(lambda new, old: jnp.where(better, new, old), state.y_eval, y)
+        stats = jax.tree.map(lambda new, old: jnp.where(better, new, old), stats, state.stats)
+        cost = jnp.where(better, cost, state.cost)
+
+        z, delta = y
+        chi2, g, h = stats.reduced()
+        prior = args.precision * (z - args.mean)
+        g = g.sum(0) + prior
+        h = h.sum(0) + jnp.diag(args.precision)
+        scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
+        damped = h + damping * jnp.diag(scale)
+        d_z = -jax.scipy.linalg.solve(damped, g, assume_a="pos")
+        d_x = -jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(
+            stats.h_xx, stats.g_x + jnp.einsum("wxz,z->wx", stats.h_xz, d_z)
+        )
+        off = z - args.mean
+        least = 0.5 * (chi2.sum() + (args.precision * off * off).sum())
+        predicted = cost - (least + g @ d_z + 0.5 * d_z @ h @ d_z)
+        small = 2 * predicted < self.atol + self.rtol * 2 * cost
+        lost = ~jnp.isfinite(predicted) | (damping > 1e8)
+        return (
+            y,
+            _State(
+                y_eval=(z + d_z, delta + d_x),
+                stats=stats,
+                cost=cost,
+                predicted=predicted,
+                damping=damping,
+                growth=growth,
+                first=jnp.array(False),
+                terminate=small | lost,
+                steps=state.steps + 1,
+            ),
+            stats,
+        )
+
+    def terminate(self, fn, y, args, options, state: _State, tags):
+        del fn, y, args, options, tags
+        return state.terminate, optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
+        del fn, aux, args, options, tags, result
+        return y, state.stats, {"cost": state.cost, "steps": state.steps}
+
+
+class Refined(eqx.Module):
+    """Where a refinement ended: z, the windows' initial states, the statistics there."""
+
+    z: Float[Array, " z"]
+    delta: Float[Array, "windows 12"]
+    stats: Statistics
+    cost: Float[Array, ""]
+    steps: Int[Array, ""]
+    converged: Bool[Array, ""]
+
+
+@eqx.filter_jit
+def refine_windows(task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9) -> Refined:
+    """Minimises the chi-square over z and all initial states, from z and delta."""
+    solution: Any = optx.minimise(
+        residual_statistics,
+        WindowGaussNewton(rtol=rtol, atol=atol),
+        (z, delta),
+        task,
+        has_aux=True,
+        max_steps=max_steps,
+        throw=False,
+        adjoint=optx.ImplicitAdjoint(),
+    )
+    z, delta = solution.value
+    return Refined(
+        z=z,
+        delta=delta,
+        stats=solution.aux,
+        cost=solution.stats["cost"],
+        steps=solution.stats["steps"],
+        converged=solution.result == optx.RESULTS.successful,
+    )

@@ -1,0 +1,153 @@
+"""Logs cut into windows, each with an initial state of its own."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._errors import InputError
+from .._types import ATTITUDE, CHANNELS
+from ..logs import Log, smooth_states
+from ..physics import from_euler
+from ..vehicle import Vehicle
+
+ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
+
+
+class Records(eqx.Module):
+    """The whole logs on one time grid each, padded at the end to a common length.
+
+    The grid may be finer than the samples (`split` steps per sample) where the vehicle is stiff.
+    `velocity` is the smoothed body velocity, from which lagged states at a window's start come.
+    """
+
+    t: Float[Array, "logs steps"]
+    dt: Float[Array, "logs steps"]
+    commands: Float[Array, "logs steps thrusters"]
+    wrench: Float[Array, "logs steps 6"]
+    velocity: Float[Array, "logs steps 6"]
+    segment: Int[Array, "logs steps"]
+
+
+class Windows(eqx.Module):
+    """Stretches of the logs, with what was measured in them.
+
+    - `log`, `step`: where each step of a window lies in `Records`.
+    - `measured`, `weight` (1 / standard deviation of the noise, 0 where nothing was measured).
+    - `position`, `attitude`, `velocity`: guess of the state at the window's first step.
+    """
+
+    log: Int[Array, " windows"]
+    step: Int[Array, "windows steps"]
+    measured: Float[Array, "windows steps 18"]
+    weight: Float[Array, "windows steps 18"]
+    position: Float[Array, "windows 3"]
+    attitude: Float[Array, "windows 4"]
+    velocity: Float[Array, "windows 6"]
+
+    @property
+    def count(self) -> int:
+        return self.log.shape[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """Logs and the windows cut from them: what a fit or a diagnosis works on."""
+
+    logs: tuple[Log, ...]
+    records: Records
+    windows: Windows
+    starts: np.ndarray  # time at which each window starts [s, its log's own time]
+    split: int
+    length: float  # of a window [s]
+
+
+def refine(t: np.ndarray, split: int) -> np.ndarray:
+    """Times with `split` - 1 more between each two samples, and after the last one."""
+    dt = np.diff(t, append=2 * t[-1] - t[-2])
+    return (t[:, None] + dt[:, None] * np.arange(split) / split).ravel()
+
+
+def cut(
+    vehicle: Vehicle,
+    logs: Sequence[Log],
+    noise: Float[np.ndarray, "18"],
+    length: float,
+    stride: float | None = None,
+    split: int = 1,
+    segments: Sequence[np.ndarray] | None = None,
+) -> Cut:
+    """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
+
+    - `noise`: standard deviation per channel, NaN for channels that are not to be used.
+    - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
+    """
+    longest = max(len(log.t) for log in logs) * split
+    count = len(vehicle.thruster_names)
+    records = {name: [] for name in ("t", "dt", "commands", "wrench", "velocity", "segment")}
+    parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
+    starts = []
+    dt = float(np.median([log.dt for log in logs]))
+    size = max(4, round(length / dt))
+    jump = size if stride is None else max(1, round(stride / dt))
+    free = np.concatenate([vehicle.free] * 3).astype(bool)
+
+    for g, log in enumerate(logs):
+        track = smooth_states(log, vehicle.dof)
+        t = refine(log.t, split)
+        short = longest - len(t)
+        steps = np.diff(t, append=2 * t[-1] - t[-2])
+
+        def pad(values, short=short):
+            return np.pad(values, [(0, short)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+
+        tail = t[-1] + steps[-1] * np.arange(1, short + 1)
+        commands = np.zeros((len(log.t), count)) if log.commands is None else log.commands
+        wrench = np.zeros((len(log.t), 6)) if log.wrench is None else log.wrench
+        segment = np.zeros(len(log.t), int) if segments is None else segments[g]
+        records["t"].append(np.concatenate([t, tail]))
+        records["dt"].append(pad(steps))
+        records["commands"].append(pad(np.repeat(np.asarray(commands), split, axis=0)))
+        records["wrench"].append(pad(np.repeat(np.asarray(wrench), split, axis=0)))
+        records["velocity"].append(pad(np.repeat(track.nu, split, axis=0)))
+        records["segment"].append(pad(np.repeat(segment, split)))
+
+        usable = np.isfinite(log.channels) & np.isfinite(noise) & free
+        weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
+        # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
+        steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
+        weight[np.ix_(steep, [3, 5])] = 0.0
+        measured = np.where(usable, log.channels, 0.0)
+        for first in range(0, len(log.t) - size + 1, jump):
+            here = slice(first, first + size)
+            fine = np.zeros((2, size * split, len(CHANNELS)))
+            fine[0, ::split] = measured[here]
+            fine[1, ::split] = weight[here]
+            parts["log"].append(g)
+            parts["step"].append(np.arange(first * split, (first + size) * split))
+            parts["measured"].append(fine[0])
+            parts["weight"].append(fine[1])
+            parts["position"].append(track.position[first])
+            parts["attitude"].append(track.attitude[first])
+            parts["velocity"].append(track.nu[first])
+            starts.append(log.t[first])
+    if len(starts) < 2:
+        names = ", ".join(log.name for log in logs)
+        raise InputError(
+            f"{names}: is shorter than two windows of {length:g} s; use a longer log."
+        )
+    attitude = np.array(parts.pop("attitude"))
+    return Cut(
+        logs=tuple(logs),
+        records=Records(**{name: jnp.asarray(np.array(value)) for name, value in records.items()}),
+        windows=Windows(
+            attitude=jnp.stack([from_euler(jnp.asarray(a)) for a in attitude]),
+            **{name: jnp.asarray(np.array(value)) for name, value in parts.items()},
+        ),
+        starts=np.array(starts),
+        split=split,
+        length=length,
+    )

@@ -1,0 +1,13 @@
+"""Recordings: reading, checking, noise and a first guess of the motion."""
+
+from ._columns import ColumnMap as ColumnMap
+from ._columns import ColumnSource as ColumnSource
+from ._columns import read_columns as read_columns
+from ._craft import Craft as Craft
+from ._log import Log as Log
+from ._noise import estimate_noise as estimate_noise
+from ._noise import sensor_noise as sensor_noise
+from ._read import read_log as read_log
+from ._read import write_log as write_log
+from ._states import StateTrack as StateTrack
+from ._states import smooth_states as smooth_states

@@ -1,0 +1,41 @@
+"""What a reader has to know of a vehicle."""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, WRENCH
+
+
+@runtime_checkable
+class Craft(Protocol):
+    """A vehicle as its logs see it.
+
+    - `dof`: the free degrees of freedom, names as in `DOFS`.
+    - `thruster_names`: the names of the command columns.
+    - `command_limits`: the largest |command| allowed per thruster, max(1, saturation).
+    """
+
+    @property
+    def dof(self) -> tuple[str, ...]: ...
+
+    @property
+    def thruster_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def command_limits(self) -> np.ndarray: ...
+
+
+def free_poses(dof: tuple[str, ...]) -> tuple[str, ...]:
+    """The position and attitude channels of the free degrees of freedom."""
+    return tuple(c for d, c in zip(DOFS, POSITION + ATTITUDE, strict=True) if d in dof)
+
+
+def free_velocities(dof: tuple[str, ...]) -> tuple[str, ...]:
+    """The velocity channels of the free degrees of freedom."""
+    return tuple(c for d, c in zip(DOFS, VELOCITY + RATE, strict=True) if d in dof)
+
+
+def free_wrench(dof: tuple[str, ...]) -> tuple[str, ...]:
+    """The components of the control wrench on the free degrees of freedom."""
+    return tuple(c for d, c in zip(DOFS, WRENCH, strict=True) if d in dof)

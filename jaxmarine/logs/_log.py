@@ -1,0 +1,86 @@
+"""The log of one run, as arrays."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import InputError
+from .._types import CHANNELS
+
+
+class Log(eqx.Module):
+    """What was commanded and what was measured, sample by sample.
+
+    - `t`: time [s], strictly increasing.
+    - `channels`: measurements in the order of `CHANNELS`, SI units and radians; NaN where missing.
+    - `commands`: one column per thruster, in the order of `thrusters`; held until the next sample.
+    - `wrench`: applied control wrench X Y Z K M N at `o`, body axes [N, N m]; held likewise.
+    - `name`: the file's name; `notes`: what was done or ignored on reading, sentence by sentence.
+
+    Either `commands` or `wrench` drives the vehicle; the other one is None.
+    """
+
+    t: Float[np.ndarray, " times"]
+    channels: Float[np.ndarray, "times 18"]
+    commands: Float[np.ndarray, "times thrusters"] | None
+    wrench: Float[np.ndarray, "times 6"] | None
+    thrusters: tuple[str, ...] = eqx.field(static=True)
+    name: str = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        times = len(self.t)
+        if self.channels.shape != (times, len(CHANNELS)):
+            raise ValueError(
+                f"Argument `channels` must be ({times}, {len(CHANNELS)}), "
+                f"but is {self.channels.shape}."
+            )
+        if (self.commands is None) == (self.wrench is None):
+            raise ValueError("Exactly one of `commands` and `wrench` must be given.")
+        if self.commands is not None and self.commands.shape != (times, len(self.thrusters)):
+            raise ValueError(
+                f"Argument `commands` must be ({times}, {len(self.thrusters)}), "
+                f"but is {self.commands.shape}."
+            )
+        if self.wrench is not None and self.wrench.shape != (times, 6):
+            raise ValueError(f"Argument `wrench` must be ({times}, 6), but is {self.wrench.shape}.")
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def dt(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the channels with at least one sample."""
+        return tuple(np.array(CHANNELS)[np.isfinite(self.channels).any(axis=0)].tolist())
+
+    def split(self, at: float) -> tuple["Log", "Log"]:
+        """The samples before the time `at` [s, the log's own], and those from it on."""
+        return self.between(-np.inf, at), self.between(at, np.inf)
+
+    def between(self, t0: float, t1: float) -> "Log":
+        """The samples with t0 <= t < t1 [s, the log's own time, which is kept].
+
+        Half-open, so that neighbouring parts share no sample.
+        """
+        inside = (self.t >= t0) & (self.t < t1)
+        if np.count_nonzero(inside) < 2:
+            raise InputError(
+                f"{self.name}: has fewer than two samples from t = {t0:g} s to {t1:g} s; "
+                f"choose times between {self.t[0]:g} s and {self.t[-1]:g} s."
+            )
+        return Log(
+            t=self.t[inside],
+            channels=self.channels[inside],
+            commands=None if self.commands is None else self.commands[inside],
+            wrench=None if self.wrench is None else self.wrench[inside],
+            thrusters=self.thrusters,
+            name=self.name,
+            notes=self.notes,
+        )

@@ -1,0 +1,272 @@
+"""From a file to a `Log`, and back; every rule of the log format is checked here."""
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from .._errors import InputError
+from .._files import did_you_mean
+from .._types import ATTITUDE, CHANNELS, WRENCH
+from ._columns import ColumnMap, ColumnSource, read_columns
+from ._craft import Craft, free_poses, free_velocities, free_wrench
+from ._log import Log
+from ._table import numbers, place, read_table, write_table
+
+# Fewer samples than this hold no window that could be compared with a simulation.
+_MIN_ROWS = 10
+
+# A column map's scale is rounded (0.0274 for 1 / 36.5), so that full thrust comes out as 1.0001:
+# commands beyond the limit by less than this share are set to the limit, with a note.
+_ROUNDING = 1e-3
+
+# Beyond any quantity of a vehicle in SI units: times in nanoseconds, sentinels such as 1e38.
+_ABSURD = 1e12
+
+
+def read_log(
+    path: str | os.PathLike[str],
+    vehicle: Craft,
+    columns: str | os.PathLike[str] | ColumnMap | None = None,
+) -> Log:
+    """Read a CSV (also .csv.gz) or Parquet file and check that `vehicle` can have driven it.
+
+    `columns` maps a foreign file's columns to those of the contract: a `ColumnMap` or the path of
+    its TOML file. What is ignored or repaired stands in the log's `notes`; what cannot be used
+    raises `InputError` with one sentence.
+    """
+    if columns is not None and not isinstance(columns, ColumnMap):
+        columns = read_columns(columns)
+    file = _MappedFile(path, vehicle.thruster_names, columns)
+    t = _time(file)
+    channels = np.full((len(t), len(CHANNELS)), np.nan)
+    for index, name in enumerate(CHANNELS):
+        if name in file:
+            channels[:, index] = file[name]
+    _check_motion(file, channels, vehicle.dof)
+    commands, wrench = _drive(file, vehicle)
+    file.note_ignored()
+    return Log(
+        t=t,
+        channels=channels,
+        commands=commands,
+        wrench=wrench,
+        thrusters=tuple(vehicle.thruster_names),
+        name=Path(path).name,
+        notes=tuple(file.notes),
+    )
+
+
+def write_log(log: Log, path: str | os.PathLike[str]) -> None:
+    """Write a log in the contract's columns, as CSV or Parquet by the name of `path`."""
+    data = {"t": log.t}
+    data |= {name: log.channels[:, CHANNELS.index(name)] for name in log.measured}
+    if log.commands is not None:
+        data |= dict(zip(log.thrusters, log.commands.T, strict=True))
+    if log.wrench is not None:
+        data |= dict(zip(WRENCH, log.wrench.T, strict=True))
+    write_table(pd.DataFrame(data), path)
+
+
+class _MappedFile:
+    """The file's columns under their names in the contract, and what there is to say of them."""
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        thrusters: Sequence[str],
+        columns: ColumnMap | None,
+    ):
+        self.path = path
+        self.notes: list[str] = []
+        self._table = read_table(path)
+        self._known = ("t", *CHANNELS, *thrusters, *WRENCH)
+        mapped = {} if columns is None else dict(columns.columns)
+        for name, source in mapped.items():
+            if name not in self._known:
+                raise InputError(
+                    f"{path}: the column map gives `{name}`, which is no column of a log; "
+                    f"{did_you_mean(name, self._known)}"
+                )
+            if source.source not in self._table:
+                raise InputError(
+                    f"{path}: has no column `{source.source}`, which the column map names for "
+                    f"`{name}`; {did_you_mean(source.source, self.file_names)}"
+                )
+        # A file's column that the map claims does not serve under its own name as well.
+        claimed = {source.source for source in mapped.values()}
+        own = {
+            name: ColumnSource.model_validate({"from": name})
+            for name in self._known
+            if name in self._table and name not in claimed and name not in mapped
+        }
+        self._sources = mapped | own
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._sources
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A contract column [rows], in the contract's units."""
+        source = self._sources[name]
+        values = source(numbers(self._table, source.source, self.path))
+        absurd = np.flatnonzero(np.abs(values) > _ABSURD)
+        if len(absurd):
+            row = int(absurd[0])
+            raise InputError(
+                f"{self.path}: column {self.label(name)} is {values[row]:.6g} in {place(row)}, "
+                "which no sensor measures; check its unit, and leave the cell empty where a "
+                "sample is missing."
+            )
+        return values
+
+    @property
+    def file_names(self) -> list[str]:
+        return [str(name) for name in self._table.columns if name]
+
+    def label(self, name: str) -> str:
+        """A column as the user knows it."""
+        source = self._sources[name].source
+        return f"`{name}`" if source == name else f"`{name}` (`{source}` in the file)"
+
+    def missing(self, names: Iterable[str]) -> tuple[str, ...]:
+        return tuple(name for name in names if name not in self)
+
+    def note_ignored(self) -> None:
+        used = {source.source for source in self._sources.values()}
+        ignored = [f"`{name}`" for name in self.file_names if name not in used]
+        if ignored:
+            few = ", ".join(ignored[:20]) + (", ..." if len(ignored) > 20 else "")
+            self.notes.append(f"Columns that nothing knows are ignored: {few}.")
+
+
+def _time(file: _MappedFile) -> np.ndarray:
+    if "t" not in file:
+        raise InputError(
+            f"{file.path}: has no column `t` (time in seconds); rename it, or map it by a column "
+            f"map; the file has {_listed(file.file_names)}."
+        )
+    t = file["t"]
+    if len(t) < _MIN_ROWS:
+        raise InputError(
+            f"{file.path}: has {len(t)} row{'s' * (len(t) != 1)}, but a log needs at least "
+            f"{_MIN_ROWS}; record for longer."
+        )
+    empty = np.flatnonzero(np.isnan(t))
+    if len(empty):
+        raise InputError(
+            f"{file.path}: column {file.label('t')} is empty in {place(int(empty[0]))}; "
+            "give every row a time."
+        )
+    back = np.flatnonzero(np.diff(t) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        # all digits, as times that look alike may differ in the last one
+        raise InputError(
+            f"{file.path}: time {file.label('t')} must strictly increase, but is "
+            f"{float(t[row])!r} s in {place(row)}, after {float(t[row - 1])!r} s; sort the rows "
+            "and remove repeated ones."
+        )
+    return t
+
+
+def _check_motion(file: _MappedFile, channels: np.ndarray, dof: Sequence[str]) -> None:
+    """The free degrees of freedom are seen by position with attitude, or by velocity."""
+    finite = np.isfinite(channels)
+    seen = {name for index, name in enumerate(CHANNELS) if finite[:, index].any()}
+    hollow = [name for name in CHANNELS if name in file and name not in seen]
+    pose, velocity = free_poses(tuple(dof)), free_velocities(tuple(dof))
+    if not (seen.issuperset(pose) or seen.issuperset(velocity)):
+        nearer = min(pose, velocity, key=lambda names: len(set(names) - seen))
+        empty = [name for name in nearer if name in hollow]
+        if empty:
+            raise InputError(
+                f"{file.path}: column {file.label(empty[0])} has no value in any row; fill it, or "
+                f"give the other set: {_listed(pose if nearer == velocity else velocity)}."
+            )
+        raise InputError(
+            f"{file.path}: lacks {_listed(file.missing(nearer))}; a log of this vehicle needs "
+            f"position with attitude ({_listed(pose)}) or velocity ({_listed(velocity)}): "
+            "add the columns or map them by a column map."
+        )
+    for name in hollow:
+        file.notes.append(f"Column {file.label(name)} has no value and counts as not measured.")
+    for name in ATTITUDE[:2]:
+        if name in seen and np.nanmax(np.abs(channels[:, CHANNELS.index(name)])) > 2 * np.pi:
+            file.notes.append(
+                f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?"
+            )
+
+
+def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The commands, or else the wrench, without gaps."""
+    thrusters, wrench = vehicle.thruster_names, free_wrench(vehicle.dof)
+    given = [name for name in WRENCH if name in file]
+    if thrusters and not file.missing(thrusters):
+        if given:
+            file.notes.append(f"The commands drive; the wrench {_listed(given)} is ignored.")
+        return _commands(file, vehicle), None
+    if not file.missing(wrench):
+        commands = [name for name in thrusters if name in file]
+        if commands:
+            file.notes.append(
+                f"The wrench drives, as {_listed(file.missing(thrusters))} is missing; "
+                f"{_listed(commands)} is ignored."
+            )
+        held = [_held(file, name) if name in file else np.zeros(len(file["t"])) for name in WRENCH]
+        return None, np.stack(held, axis=1)
+    if not thrusters:
+        raise InputError(
+            f"{file.path}: lacks {_listed(file.missing(wrench))}; the vehicle has no thruster, so "
+            f"its log needs the applied wrench {_listed(wrench)}."
+        )
+    raise InputError(
+        f"{file.path}: lacks {_listed(file.missing(thrusters))}; a log needs one command column "
+        f"per thruster ({_listed(thrusters)}) or the applied wrench ({_listed(wrench)}): add the "
+        "columns or map them by a column map."
+    )
+
+
+def _commands(file: _MappedFile, vehicle: Craft) -> np.ndarray:
+    columns = []
+    for name, limit in zip(vehicle.thruster_names, vehicle.command_limits, strict=True):
+        command = _held(file, name)
+        beyond = np.flatnonzero(np.abs(command) > limit * (1 + _ROUNDING))
+        if len(beyond):
+            row = int(beyond[0])
+            raise InputError(
+                f"{file.path}: command {file.label(name)} is {command[row]:.6g} in {place(row)} "
+                f"(t = {file['t'][row]:.6g} s), outside [{-limit:g}, {limit:g}]; scale it by a "
+                "column map, or correct the row."
+            )
+        if np.any(np.abs(command) > limit):
+            file.notes.append(
+                f"Command {file.label(name)} exceeds {limit:g} by up to "
+                f"{np.max(np.abs(command)) - limit:.1g}, taken for rounding, and is set to it."
+            )
+        columns.append(np.clip(command, -limit, limit))
+    return np.stack(columns, axis=1)
+
+
+def _held(file: _MappedFile, name: str) -> np.ndarray:
+    """A command whose empty cells hold the last value, zero before the first."""
+    values = file[name]
+    empty = np.isnan(values)
+    if empty.all():
+        raise InputError(
+            f"{file.path}: column {file.label(name)} has no value in any row; fill it, with 0 "
+            "where nothing was commanded."
+        )
+    if empty.any():
+        file.notes.append(
+            f"Column {file.label(name)} has {np.count_nonzero(empty)} empty cells, which hold the "
+            "last value (zero before the first)."
+        )
+        values = pd.Series(values).ffill().fillna(0.0).to_numpy()
+    return values
+
+
+def _listed(names: Iterable[str]) -> str:
+    names = [f"`{name}`" for name in names]
+    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")

@@ -1,0 +1,163 @@
+"""A log file as a table of text or numbers, before anything is known of its meaning."""
+
+import decimal
+import os
+import warnings
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow
+import pyarrow.parquet
+
+from .._errors import InputError
+from .._files import existing_file, written_whole
+
+_FORMATS = (".csv", ".csv.gz", ".parquet")
+
+
+def read_table(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """The columns of a CSV or Parquet file, names stripped and each there once."""
+    path = existing_file(path)
+    try:
+        table = _read_parquet(path) if _format(path) == ".parquet" else _read_csv(path)
+    except InputError:
+        raise
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text; save it as a UTF-8 CSV file.") from error
+    except (OSError, EOFError, zlib.error, pyarrow.ArrowException, ValueError) as error:
+        # pandas' own parser errors are ValueErrors that name the line
+        reason = " ".join(str(error).removeprefix("Error tokenizing data. C error: ").split())
+        raise InputError(
+            f"{path}: cannot be read as a {_format(path)} file ({reason}); correct or export it "
+            "again."
+        ) from error
+    return table
+
+
+def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
+    """Write what `read_table` reads; numbers keep all their digits."""
+    kind = _format(Path(path))
+    with written_whole(path) as beside:
+        if kind == ".parquet":
+            table.to_parquet(beside, index=False)
+        else:
+            table.to_csv(beside, index=False)
+
+
+def numbers(table: pd.DataFrame, column: str, path: str | os.PathLike[str]) -> np.ndarray:
+    """A column as float64 [rows], NaN where a cell is empty."""
+    cells = table[column]
+    if pd.api.types.is_numeric_dtype(cells.dtype) and cells.dtype != bool:
+        values = np.asarray(cells, dtype=np.float64)
+    else:
+        values = np.full(len(cells), np.nan)
+        for row in np.flatnonzero(cells.notna()):
+            values[row] = _number(cells.iloc[row], column, int(row), path)
+    infinite = np.flatnonzero(np.isinf(values))
+    if len(infinite):
+        raise InputError(
+            f"{path}: column `{column}` is infinite in {place(int(infinite[0]))}; leave the cell "
+            "empty where a sample is missing."
+        )
+    return values
+
+
+def place(row: int) -> str:
+    """How messages name a row: counted from one, the line of column names left out."""
+    return f"data row {row + 1}"
+
+
+def _number(cell: object, column: str, row: int, path: str | os.PathLike[str]) -> float:
+    try:
+        if isinstance(cell, str | int | float | decimal.Decimal) and not isinstance(cell, bool):
+            return float(cell)
+    except (ValueError, OverflowError):
+        pass
+    raise InputError(
+        f"{path}: column `{column}` holds {str(cell)[:40]!r} in {place(row)}, which is not a "
+        "number; leave the cell empty where a sample is missing."
+    )
+
+
+def _format(path: Path) -> str:
+    for suffix in _FORMATS:
+        if path.name.lower().endswith(suffix):
+            return suffix
+    raise InputError(
+        f"{path}: has a name that does not end in {', '.join(_FORMATS)}; "
+        "a log is a CSV or a Parquet file."
+    )
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    # Names and numbers are read apart: pandas would rename a column that is there twice, and would
+    # take the first column for row labels where the rows are one cell longer than the header.
+    compression = "gzip" if _format(path) == ".csv.gz" else None
+    try:
+        header = pd.read_csv(
+            path,
+            compression=compression,
+            header=None,
+            nrows=1,
+            dtype=str,
+            keep_default_na=False,
+            skip_blank_lines=False,
+            encoding="utf-8-sig",
+        )
+    except pd.errors.EmptyDataError:
+        raise InputError(
+            f"{path}: is empty; a log has a line of column names, then rows."
+        ) from None
+    names = _checked_names([str(name) for name in header.iloc[0]], path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                path,
+                compression=compression,
+                header=None,
+                skiprows=1,
+                skipinitialspace=True,
+                low_memory=False,
+                encoding="utf-8-sig",
+            )
+    except pd.errors.EmptyDataError:
+        raise InputError(
+            f"{path}: has column names but no rows; check that the recording was not cut off."
+        ) from None
+    if table.shape[1] != len(names):
+        raise InputError(
+            f"{path}: names {len(names)} columns, but its rows have {table.shape[1]} cells; "
+            "check the separators of the first two lines."
+        )
+    table.columns = names
+    return table
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    names = pyarrow.parquet.read_schema(path).names
+    if not names:
+        raise InputError(f"{path}: is empty; a log has columns with names, and rows.")
+    _checked_names(names, path)
+    table = pyarrow.parquet.read_table(path).to_pandas()
+    # a time that somebody made the row label is a column all the same
+    table = table.reset_index() if table.index.name is not None else table
+    table.columns = [str(name).strip() for name in table.columns]
+    return table
+
+
+def _checked_names(names: list[str], path: Path) -> list[str]:
+    names = [name.strip() for name in names]
+    for name in names:
+        if name and names.count(name) > 1:
+            raise InputError(
+                f"{path}: has {names.count(name)} columns named `{name}`; keep or rename one."
+            )
+    if len(names) == 1 and any(separator in names[0] for separator in ";\t"):
+        raise InputError(
+            f"{path}: separates its columns by semicolons or tabs; write commas between columns "
+            "and points in numbers."
+        )
+    return names

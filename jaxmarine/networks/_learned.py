@@ -1,0 +1,126 @@
+"""A wrench that no known effect explains, learned as a network of measured signals."""
+
+import dataclasses
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from .._errors import InputError
+from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Wrench
+from ..effects import Craft, Motion, Suspect, WrenchEffect
+from ..physics import to_euler_matrix
+
+# Every signal that a residual is tested against, besides the thrusters' commands.
+SIGNALS = (*POSITION[2:], *ATTITUDE, *VELOCITY, *RATE, "t")
+
+
+def signals_known(name: str, thrusters: tuple[str, ...]) -> bool:
+    """Whether a learned term can depend on that signal."""
+    return name in SIGNALS or name in POSITION or name in thrusters
+
+
+def signals(motion: Motion, names: tuple[str, ...], thrusters: tuple[str, ...]) -> Array:
+    """Values of named signals; angles as sine and cosine, velocities relative to the water."""
+    angles = to_euler_matrix(motion.rotation)
+    out = []
+    for name in names:
+        if name in ATTITUDE:
+            angle = angles[ATTITUDE.index(name)]
+            out += [jnp.sin(angle), jnp.cos(angle)]
+        elif name in POSITION:
+            out.append(motion.position[POSITION.index(name)])
+        elif name in VELOCITY + RATE:
+            out.append(motion.nu_r[(VELOCITY + RATE).index(name)])
+        elif name == "t":
+            out.append(motion.t)
+        elif name in thrusters:
+            out.append(motion.command[thrusters.index(name)])
+        else:
+            raise InputError(f"`{name}` is no signal that a learned term can depend on.")
+    return jnp.stack(out)
+
+
+class LearnedWrench(WrenchEffect):
+    r"""A force on one axis as a small network of named signals, $\tau_i = s\, W_2 \tanh(W_1 x + b_1) + s\, b_2$.
+
+    - `weight_1` [hidden, inputs], `bias_1`, `weight_2` [hidden], `bias_2`: the network, zero at the start
+      in its last layer, so that the unfitted vehicle is the physics.
+    - `low`, `high`: range of each input in the data it was fitted on; outside it the input is clipped, so
+      that the term stays what it was at the edge and does not run away.
+    - `scale` [N or N m]: size of the output.
+
+    Source: thesis sec. 4.1 (a network parallel to the model), kept to the signals that the residual
+    depends on.
+    """
+
+    name: ClassVar[str] = "unknown"
+    units: ClassVar[dict[str, str]] = {}
+
+    weight_1: Float[Array, "hidden inputs"]
+    bias_1: Float[Array, " hidden"]
+    weight_2: Float[Array, " hidden"]
+    bias_2: Float[Array, ""]
+    low: Float[Array, " inputs"]
+    high: Float[Array, " inputs"]
+    scale: Float[Array, ""]
+    target: str = eqx.field(static=True)
+    inputs: tuple[str, ...] = eqx.field(static=True)
+    thrusters: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        raise NotImplementedError("A learned term has no neutral value before it is built.")
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return ()
+
+    @property
+    def network(self) -> tuple[Array, ...]:
+        """What is trained."""
+        return self.weight_1, self.bias_1, self.weight_2, self.bias_2
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name, for the file beside the vehicle."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: np.asarray(value) for name, value in values.items() if eqx.is_array(value)}
+
+    def __call__(self, motion: Motion) -> Wrench:
+        x = jnp.clip(signals(motion, self.inputs, self.thrusters), self.low, self.high)
+        # Squares the range to [-1, 1]; a signal that never moved stays at zero.
+        width = jnp.where(self.high > self.low, self.high - self.low, 1.0)
+        x = 2.0 * (x - self.low) / width - 1.0
+        hidden = jnp.tanh((self.weight_1 * x[None, :]).sum(-1) + self.bias_1)
+        force = self.scale * ((self.weight_2 * hidden).sum() + self.bias_2)
+        return jnp.zeros(6).at[DOFS.index(self.target)].set(force)
+
+
+def learned_wrench(
+    target: str,
+    inputs: tuple[str, ...],
+    thrusters: tuple[str, ...],
+    low: Float[np.ndarray, " inputs"],
+    high: Float[np.ndarray, " inputs"],
+    scale: float,
+    key: PRNGKeyArray,
+    hidden: int = 8,
+) -> LearnedWrench:
+    """An untrained term: random in its first layer, zero in its last."""
+    weights, biases = jax.random.normal(key, (hidden, len(low) + 1)), jnp.zeros(())
+    return LearnedWrench(
+        weight_1=weights[:, :-1],
+        bias_1=weights[:, -1],
+        weight_2=jnp.zeros(hidden),
+        bias_2=biases,
+        low=jnp.asarray(low),
+        high=jnp.asarray(high),
+        scale=jnp.asarray(scale, float),
+        target=target,
+        inputs=inputs,
+        thrusters=thrusters,
+    )

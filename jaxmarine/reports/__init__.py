@@ -1,0 +1,3 @@
+"""The report: a web page that opens offline, pictures for print, and `diagnosis.json`."""
+
+from ._write import write_report as write_report

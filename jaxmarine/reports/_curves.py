@@ -1,0 +1,297 @@
+"""Curves and points of a diagnosis, as both the page and the pictures draw them.
+
+Angles are shown in degrees, because that is what a compass and a log display show.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._types import (
+    ATTITUDE,
+    CHANNEL_UNITS,
+    CHANNELS,
+    DOFS,
+    POSITION,
+    RATE,
+    SENSORS,
+    VELOCITY,
+    WRENCH,
+)
+from ..diagnosis._result import Diagnosis, MissingWrench, Predictions, Weighed
+
+GROUP_TITLES = {
+    "position": "Position",
+    "attitude": "Attitude",
+    "velocity": "Velocity",
+    "rate": "Turning rate",
+    "acceleration": "Acceleration",
+    "angular_acceleration": "Angular acceleration",
+}
+CHANNEL_TITLES: dict[str, str] = dict(
+    zip(
+        CHANNELS,
+        (
+            "north position x",
+            "east position y",
+            "down position z",
+            "roll angle phi",
+            "pitch angle theta",
+            "heading psi",
+            "surge velocity u",
+            "sway velocity v",
+            "heave velocity w",
+            "roll rate p",
+            "pitch rate q",
+            "yaw rate r",
+            "surge acceleration du",
+            "sway acceleration dv",
+            "heave acceleration dw",
+            "roll acceleration dp",
+            "pitch acceleration dq",
+            "yaw acceleration dr",
+        ),
+        strict=True,
+    )
+)
+_UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
+_ANGLES = tuple(CHANNELS.index(name) for name in ATTITUDE)
+_DEGREES = 180.0 / np.pi
+_STEPS = 200  # that are drawn of one prediction
+
+
+def shown_unit(channel: str) -> str:
+    """The unit in which a channel is shown."""
+    return _UNITS[channel].replace("rad", "°")
+
+
+def shown_scale(channel: str) -> float:
+    """What a channel is multiplied by to be in its shown unit."""
+    return _DEGREES if "rad" in _UNITS[channel] else 1.0
+
+
+SCALES = np.array([shown_scale(name) for name in CHANNELS])
+
+
+def finite(values: np.ndarray) -> Float[np.ndarray, "..."]:
+    """The values with everything that cannot be drawn as NaN."""
+    values = np.asarray(values, float)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def thinned(count: int, limit: int) -> Int[np.ndarray, " kept"]:
+    """At most `limit` indices out of `count`, evenly spread, both ends included."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
+
+
+def difference(predicted: np.ndarray, measured: np.ndarray) -> Float[np.ndarray, "..."]:
+    """Predicted minus measured channels; angles the short way round."""
+    out = finite(predicted) - finite(measured)
+    angles = out[..., _ANGLES]
+    out[..., _ANGLES] = (angles + np.pi) % (2 * np.pi) - np.pi
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class GroupError:
+    """Root-mean-square prediction error of one sensor kind against the horizon [s], in `unit`.
+
+    `errors` holds one curve before and one after, as `Course.curves` does.
+    """
+
+    title: str
+    unit: str
+    horizon: Float[np.ndarray, " steps"]
+    errors: dict[str, Float[np.ndarray, " steps"]]
+    noise: float
+
+
+def errors_by_horizon(predictions: Predictions) -> tuple[GroupError, ...]:
+    """One curve per sensor kind that the test log holds."""
+    times, begin = predictions.times, predictions.begin
+    if times.size == 0 or begin >= times.shape[1]:
+        return ()
+    horizon = np.median(times[:, begin:] - times[:, begin : begin + 1], axis=0)
+    before = difference(predictions.before, predictions.measured)[:, begin:] * SCALES
+    after = difference(predictions.after, predictions.measured)[:, begin:] * SCALES
+    noise = finite(predictions.noise) * SCALES
+    out = []
+    for kind, channels in SENSORS.items():
+        columns = [CHANNELS.index(name) for name in channels]
+        measured = np.atleast_1d(np.isfinite(before[..., columns]).any(axis=(0, 1)))
+        if measured.any():
+            columns = [column for column, kept in zip(columns, measured, strict=True) if kept]
+            out.append(
+                GroupError(
+                    title=GROUP_TITLES[kind],
+                    unit=shown_unit(channels[0]),
+                    horizon=horizon,
+                    errors={
+                        "before": _rms(before[..., columns]),
+                        "after": _rms(after[..., columns]),
+                    },
+                    noise=float(_rms(noise[None, None, columns])[0]),
+                )
+            )
+    return tuple(out)
+
+
+def _rms(errors: Float[np.ndarray, "starts steps channels"]) -> Float[np.ndarray, " steps"]:
+    """Over starts and channels, leaving out what is not there."""
+    count = np.isfinite(errors).sum(axis=(0, 2))
+    total = np.nansum(errors**2, axis=(0, 2))
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts 18"]:
+    """Mean square error before, in units of the noise, per start and channel; NaN: not measured."""
+    begin = predictions.begin
+    errors = difference(predictions.before, predictions.measured)[:, begin:] / predictions.noise
+    count = np.isfinite(errors).sum(axis=1)
+    total = np.nansum(finite(errors) ** 2, axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def typical_starts(predictions: Predictions, count: int = 3) -> tuple[int, ...]:
+    """The starts whose error before is nearest to the median, in order of time."""
+    misfit = _misfits(predictions)
+    known = np.flatnonzero(np.isfinite(misfit).any(axis=1))
+    if known.size == 0:
+        return ()
+    size = np.log(np.nanmean(misfit[known], axis=1) + 1e-12)
+    nearest = known[np.argsort(np.abs(size - np.median(size)), kind="stable")[:count]]
+    return tuple(int(start) for start in sorted(nearest, key=lambda i: predictions.times[i, 0]))
+
+
+def measured_channels(predictions: Predictions) -> tuple[str, ...]:
+    """The channels that the test log holds."""
+    measured = np.atleast_1d(np.isfinite(predictions.measured).any(axis=(0, 1)))
+    return tuple(name for name, there in zip(CHANNELS, measured, strict=True) if there)
+
+
+def telling_channel(predictions: Predictions) -> str | None:
+    """The measured position, attitude or velocity that is worst predicted before."""
+    misfit = _misfits(predictions)
+    shown = [
+        name
+        for name in measured_channels(predictions)
+        if name in POSITION + ATTITUDE + VELOCITY + RATE
+    ]
+    sizes = {name: _mean(misfit[:, CHANNELS.index(name)]) for name in shown}
+    return max(sizes, key=lambda name: sizes[name], default=None)
+
+
+def _mean(values: np.ndarray) -> float:
+    kept = values[np.isfinite(values)]
+    return float(kept.mean()) if kept.size else -np.inf
+
+
+@dataclasses.dataclass(frozen=True)
+class Course:
+    """One prediction: `measured`, `before` and `after`, all 18 channels in shown units.
+
+    `ahead` [s] counts from where the prediction begins; `begin` is that moment in the log's time.
+    """
+
+    begin: float
+    ahead: Float[np.ndarray, " steps"]
+    curves: dict[str, Float[np.ndarray, "steps 18"]]
+
+
+def course(predictions: Predictions, start: int) -> Course:
+    """The prediction from one start; angles without jumps, the three curves on the same turn."""
+    times = predictions.times[start]
+    begin = float(times[predictions.begin])
+    before = finite(predictions.before[start])
+    # Curves are made continuous from the prediction on, which has no gaps, and hung onto it.
+    smooth = before.copy()
+    for column in _ANGLES:
+        if np.isfinite(before[:, column]).all():
+            smooth[:, column] = np.unwrap(before[:, column])
+    measured = smooth - difference(before, predictions.measured[start])
+    after = smooth + difference(predictions.after[start], before)
+    curves = {"measured": measured, "before": smooth, "after": after}
+    kept = thinned(times.size, _STEPS)
+    shown = {name: curve[kept] * SCALES for name, curve in curves.items()}
+    return Course(begin, times[kept] - begin, shown)
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+    """One degree of freedom as it is shown."""
+
+    index: int
+    title: str
+    symbol: str
+    unit: str
+    velocity_title: str
+    velocity_scale: float
+
+
+def free_axes(dof: tuple[str, ...]) -> tuple[Axis, ...]:
+    """The degrees of freedom that can move."""
+    out = []
+    for i, name in enumerate(DOFS):
+        if name in dof:
+            channel = (VELOCITY + RATE)[i]
+            out.append(
+                Axis(
+                    index=i,
+                    title=f"{name.capitalize()} {'force' if i < 3 else 'moment'} {WRENCH[i]}",
+                    symbol=WRENCH[i],
+                    unit="N" if i < 3 else "N m",
+                    velocity_title=f"{CHANNEL_TITLES[channel]} [{shown_unit(channel)}]",
+                    velocity_scale=shown_scale(channel),
+                )
+            )
+    return tuple(out)
+
+
+def known(missing: MissingWrench, axis: int, log: int | None = None) -> Bool[np.ndarray, " knots"]:
+    """Where the missing wrench of that axis is known (in that log, where one is named)."""
+    there = np.isfinite(missing.wrench[:, axis]) & np.isfinite(missing.t)
+    return there if log is None else there & (missing.log == log)
+
+
+def compared(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Which models a figure shows: where nothing was added, before and after are one."""
+    return ("before",) if diagnosis.verdict == "nothing_found" else ("before", "after")
+
+
+def lacking(diagnosis: Diagnosis) -> dict[str, MissingWrench]:
+    """The missing wrench of each model that is shown."""
+    both = {"before": diagnosis.missing_before, "after": diagnosis.missing_after}
+    return {name: both[name] for name in compared(diagnosis)}
+
+
+def beginnings(diagnosis: Diagnosis, log: int) -> tuple[float, ...]:
+    """The times [s] in that training log from which findings act."""
+    return tuple(
+        finding.since
+        for finding in diagnosis.findings
+        if finding.since is not None
+        and (finding.since_log or diagnosis.train[0]) == diagnosis.train[log]
+    )
+
+
+def taken_labels(diagnosis: Diagnosis) -> tuple[str | None, ...]:
+    """Per round of the search, the label of the finding that it led to."""
+    left = [finding.label for finding in diagnosis.findings]
+    out: list[str | None] = []
+    for weighed in diagnosis.rounds:
+        names = {suspect.label for suspect in weighed}
+        taken = next((label for label in left if label in names), None)
+        if taken is not None:
+            left.remove(taken)
+        out.append(taken)
+    return tuple(out)
+
+
+def leading(suspects: tuple[Weighed, ...], taken: str | None, limit: int) -> tuple[Weighed, ...]:
+    """The first `limit` of a round; the one that was taken is always among them."""
+    head = suspects[:limit]
+    if taken is None or any(suspect.label == taken for suspect in head):
+        return head
+    rest = next(suspect for suspect in suspects if suspect.label == taken)
+    return (*head[:-1], rest)

@@ -1,0 +1,173 @@
+"""What a diagnosis says, in sentences for someone who has never seen the program.
+
+All texts are plain; what stands between backticks is a name from a file. The page escapes both.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from ..diagnosis._result import Alternative, Diagnosis, Finding
+from ..effects import CATALOGUE
+from ._causes import signal, title, what
+from ._numbers import count, joined, number, percent, sentence, unit_on
+
+VERY_STRONG = 5.0  # log evidence, after Kass and Raftery (1995)
+_CLASSES = {effect.name: effect for effect in CATALOGUE}
+
+
+def advice(finding: Finding, depends_on: Sequence[str]) -> str:
+    """What to look at on the boat."""
+    if finding.effect == "unknown":
+        look = (
+            f"Look for what changes with the {joined([signal(name) for name in depends_on])}."
+            if depends_on
+            else "The residual names no signal; look at the missing wrench over time below."
+        )
+        return (
+            f"{look} Until its cause is known, the extended vehicle carries a term learned from "
+            "the log: good for prediction, no explanation."
+        )
+    effect = _CLASSES.get(finding.effect)
+    return sentence(effect.advice) if effect is not None and effect.advice else ""
+
+
+def sureness(log_evidence: float) -> str:
+    """The log evidence in words and as a number (Kass and Raftery, 1995)."""
+    if not math.isfinite(log_evidence):
+        return "The evidence could not be put into a number."
+    if log_evidence < 0:
+        words = "None: the log speaks against it"
+    elif log_evidence < 1:
+        words = "Hardly worth a mention"
+    elif log_evidence < 3:
+        words = "Positive, no more"
+    elif log_evidence < VERY_STRONG:
+        words = "Strong"
+    else:
+        words = "Very strong"
+    return f"{words} (log evidence {number(log_evidence)}; more than 5 is very strong)."
+
+
+def rivals(finding: Finding, groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
+    """The labels of what the log cannot tell from the finding."""
+    found = [_label(other) for other in finding.alternatives if other.indistinguishable]
+    for group in groups:
+        if finding.label in group:
+            found += [label for label in group if label != finding.label]
+    return tuple(dict.fromkeys(found))
+
+
+def _label(other: Alternative) -> str:
+    return other.effect if other.target is None else f"{other.effect}:{other.target}"
+
+
+def deciding(labels: Sequence[str]) -> str:
+    """Which manoeuvre shows which of these causes best."""
+    manoeuvres: dict[str, list[str]] = {}
+    for label in labels:
+        effect = _CLASSES.get(label.partition(":")[0])
+        if effect is not None and effect.shown_by:
+            manoeuvres.setdefault(effect.shown_by, []).append(title(label))
+    if len(manoeuvres) == 1:
+        return sentence(f"a log with {next(iter(manoeuvres))}")
+    parts = [f"{manoeuvre} (shows {joined(names)})" for manoeuvre, names in manoeuvres.items()]
+    return sentence(f"a log with {'; with '.join(parts)}") if parts else ""
+
+
+def next_best(finding: Finding) -> str:
+    """The strongest cause that the log could tell from the finding."""
+    told_apart = [other for other in finding.alternatives if not other.indistinguishable]
+    if not told_apart:
+        return ""
+    best = max(told_apart, key=lambda other: other.log_evidence)
+    return (
+        f"The next best, {title(_label(best))}, has a log evidence of {number(best.log_evidence)}."
+    )
+
+
+def values(label: str, parameters: Mapping[str, float]) -> str:
+    """`factor 0.71`: the numbers of a suspect with their units."""
+    name, _, target = label.partition(":")
+    units = _CLASSES[name].units if name in _CLASSES else {}
+    return ", ".join(
+        f"{key} {number(value)} {unit_on(units.get(key, ''), target or None)}".rstrip()
+        for key, value in parameters.items()
+    )
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """The whole answer in one sentence."""
+    named = [finding for finding in diagnosis.findings if finding.effect != "unknown"]
+    strange = [
+        finding.target or "" for finding in diagnosis.findings if finding.effect == "unknown"
+    ]
+    unknown = (
+        f"something that no known cause explains acts in {joined(strange)}"
+        if strange
+        else ("something that no known cause explains is left")
+    )
+    if diagnosis.verdict == "nothing_found":
+        return "Nothing is wrong that these logs could show: the vehicle file explains them."
+    if diagnosis.verdict == "unexplained":
+        return sentence(unknown)
+    if diagnosis.verdict == "explained" and len(named) == 1:
+        return what(named[0], diagnosis.vehicle)
+    causes = joined([title(finding.label) for finding in named])
+    if diagnosis.verdict == "explained":
+        return f"{len(named)} causes explain these logs: {causes}."
+    verb = "explains" if len(named) == 1 else "explain"
+    return sentence(f"{causes} {verb} a part of what these logs show; {unknown}")
+
+
+def explanation(diagnosis: Diagnosis) -> str:
+    """Below the verdict: how well the logs are explained now, and what is left."""
+    before, after = _times_noise(diagnosis.misfit_before), _times_noise(diagnosis.misfit_after)
+    text = (
+        f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
+    )
+    if diagnosis.verdict != "nothing_found":
+        text += f", the extended vehicle by {after}"
+    return f"{text}. {remainder(diagnosis)}"
+
+
+def _times_noise(misfit: float) -> str:
+    """A chi-square per sample as a size; a tenth above one is what chance and rounding leave."""
+    if misfit < 1.1:
+        return "no more than the sensor noise"
+    return f"{number(math.sqrt(misfit), 2)} times the sensor noise"
+
+
+def remainder(diagnosis: Diagnosis) -> str:
+    """What is left after the named findings."""
+    if diagnosis.white:
+        return "What is left is sensor noise."
+    if diagnosis.depends_on:
+        names = joined([signal(name) for name in diagnosis.depends_on])
+        return f"What is left is more than noise, and it depends on the {names}."
+    return (
+        "What is left is more than sensor noise, but depends on no logged signal: a disturbance, "
+        "such as waves or gusts."
+    )
+
+
+def gain_words(diagnosis: Diagnosis) -> str:
+    """What the extension buys, in one sentence."""
+    gain = diagnosis.gain
+    low, high = gain.ratio_ci95
+    if diagnosis.verdict == "nothing_found":
+        return "Nothing was added to the model, so its predictions stay what they were."
+    return (
+        f"Predictions over {number(gain.horizon)} s now have {percent(gain.ratio)} of the error "
+        f"that they had (95 % interval {percent(low)} to {percent(high)}), over all measured "
+        "channels, each in units of its noise."
+    )
+
+
+def held_out(diagnosis: Diagnosis) -> str:
+    """Whether the gain was measured on a log that the diagnosis had not seen."""
+    if diagnosis.gain.held_out:
+        return f"Held out: `{diagnosis.test}` was not used for finding or fitting anything."
+    return (
+        f"Not held out: `{diagnosis.test}` was also used for training, so the gain is too good to "
+        "be true for a new log. Test on another one."
+    )

@@ -1,0 +1,41 @@
+"""Writes the report: everything or nothing."""
+
+import contextlib
+import json
+import os
+from pathlib import Path
+
+from .._errors import InputError
+from .._files import written_whole
+from ..diagnosis._result import Diagnosis
+from ._page import page
+from ._pictures import pictures
+
+
+def write_report(diagnosis: Diagnosis, folder: str | os.PathLike[str]) -> Path:
+    """Writes `index.html`, `diagnosis.json` and `figures/*.png` into `folder`; returns the page.
+
+    Nothing is written unless everything could be made; a number that JSON does not have (NaN,
+    infinity) in what `diagnosis.json` holds is a `ValueError`.
+    """
+    folder = Path(folder)
+    files = {
+        "index.html": page(diagnosis).encode("utf-8", errors="replace"),
+        "diagnosis.json": _json(diagnosis).encode(),
+    }
+    files |= {f"figures/{name}": content for name, content in pictures(diagnosis).items()}
+    try:
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be made a folder for the report; check the path."
+        ) from error
+    # All are written beside their places before one moves; the page, first in, moves last.
+    with contextlib.ExitStack() as stack:
+        for name, content in files.items():
+            stack.enter_context(written_whole(folder / name)).write_bytes(content)
+    return folder / "index.html"
+
+
+def _json(diagnosis: Diagnosis) -> str:
+    return json.dumps(diagnosis.to_json(), allow_nan=False, indent=2) + "\n"

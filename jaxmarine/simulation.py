@@ -1,0 +1,184 @@
+"""A vehicle and its commands become a trajectory. The one place that knows diffrax.
+
+The input is held over each sample, so the integration steps from sample to sample with the held
+input as its argument: an input looked up by time inside the vector field would give the last stage
+of a step the next sample.
+"""
+
+from typing import ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ._types import CHANNELS, Times
+from .logs import Log
+from .physics import from_euler, step_lengths, thrust
+from .vehicle import Input, Plant, State, Vehicle
+
+# A product of step and fastest decay rate that the explicit method takes with an error below 1e-3.
+_STABLE = 0.8
+
+
+class RungeKutta4(diffrax.AbstractERK):
+    """The classical fourth-order method, without step control (Kutta 1901)."""
+
+    tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
+        a_lower=(np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0])),
+        b_sol=np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+        b_error=np.zeros(4),
+        c=np.array([0.5, 0.5, 1.0]),
+    )
+    interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+
+    def order(self, terms):
+        del terms
+        return 4
+
+
+_TERM = diffrax.ODETerm(lambda t, state, args: args[0].rates(state, args[1]))
+
+
+def hold(plant: Plant, state: State, drive: Input, dt) -> State:
+    """The state after one hold of length `dt` [s], by one step of the classical Runge-Kutta method."""
+    # "lax" keeps the stages differentiable in forward mode.
+    after, *_ = RungeKutta4(scan_kind="lax").step(_TERM, drive.t, drive.t + dt, state, (plant, drive), False, True)
+    return after
+
+
+class Trajectory(eqx.Module):
+    """What a simulation gives at each sample of its log.
+
+    - `t` [s]; `channels`: what the sensors show, in the order of `_types.CHANNELS`;
+      `states`: the states, batched along the samples.
+    """
+
+    t: Times
+    channels: Float[Array, "times 18"]
+    states: State
+
+    def __getitem__(self, channel: str) -> Times:
+        return self.channels[:, CHANNELS.index(channel)]
+
+
+def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np.ndarray, "times placed"]:
+    """1 where a placed effect acts at a sample of the log, else 0.
+
+    An effect with `since` acts from that time on in the log that it names (in any log, where it
+    names none), not at all in the logs named in `earlier`, and always in all others.
+    """
+    out = np.ones((len(log.t), len(vehicle.placed)))
+    for i, placed in enumerate(vehicle.placed):
+        if placed.since is None:
+            continue
+        if placed.since_log in (None, log.name):
+            out[:, i] = log.t >= placed.since
+        elif log.name in earlier:
+            out[:, i] = 0.0
+    return out
+
+
+def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6) -> State:
+    """A state from position [m], roll, pitch, yaw [rad] and body velocities [m/s, rad/s]."""
+    memory = 6 if vehicle.plant().has_memory else 0
+    return State(
+        position=jnp.asarray(position, float),
+        attitude=from_euler(jnp.asarray(attitude, float)),
+        velocity=jnp.asarray(velocity, float),
+        memory=jnp.zeros(memory),
+    )
+
+
+def substeps(vehicle: Vehicle, dt: float, speed: float = 1.0) -> int:
+    """Into how many steps a hold of `dt` [s] must be cut for the explicit method.
+
+    From the largest eigenvalue of M^-1 (D_l + 2 D_q speed), `speed` in m/s and rad/s, and the
+    oscillation of the restoring moments.
+    """
+    plant = vehicle.plant()
+    state = initial_state(vehicle, velocity=speed * vehicle.free)
+    count = len(vehicle.thruster_names)
+    rest = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.zeros(()))
+
+    def flow(turn, nu):
+        tilted = eqx.tree_at(lambda s: (s.attitude, s.velocity), state, (from_euler(turn), nu))
+        return plant.acceleration(tilted, rest)
+
+    by_turn, by_nu = jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
+    system = np.zeros((9, 9))
+    system[:3, 6:] = np.diag(vehicle.free[3:])
+    system[3:, :3] = by_turn * vehicle.free[3:]
+    system[3:, 3:] = by_nu
+    fastest = np.abs(np.linalg.eigvals(system)).max()
+    return max(1, int(np.ceil(fastest * dt / _STABLE)))
+
+
+def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
+    """The inputs over each hold (mean thrust) and at each sample (thrust at that instant).
+
+    - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
+    """
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
+    mean, instant = thrust(drive, t, commands)
+    return Input(mean, commands, wrench, t), Input(instant, commands, wrench, t)
+
+
+@eqx.filter_jit
+def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int):
+    plants = jax.vmap(vehicle.plant)(acting)
+    over, at = inputs(jax.tree.map(lambda a: a[segment], plants), t, commands, wrench)
+
+    def step(state, now):
+        index, over, at, dt = now
+        plant = jax.tree.map(lambda a: a[index], plants)
+        shown = plant.readings(state, plant.acceleration(state, at))
+        if solver is None:
+
+            def part(state, _):
+                return hold(plant, state, over, dt / split), None
+
+            after, _ = jax.lax.scan(part, state, None, length=split)
+        else:
+            after = diffrax.diffeqsolve(
+                _TERM,
+                solver,
+                over.t,
+                over.t + dt,
+                dt / split,
+                state,
+                (plant, over),
+                stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-10),
+                saveat=diffrax.SaveAt(t1=True),
+            ).ys
+            after = jax.tree.map(lambda a: a[0], after)
+        return after, (state, shown)
+
+    _, (states, channels) = jax.lax.scan(step, start, (segment, over, at, step_lengths(t)))
+    return Trajectory(t, channels, states)
+
+
+def simulate(
+    vehicle: Vehicle,
+    log: Log,
+    start: State,
+    solver: diffrax.AbstractSolver | None = None,
+    earlier: tuple[str, ...] = (),
+) -> Trajectory:
+    """Simulates the vehicle from `start` under the commands (or control wrench) of a log.
+
+    - `solver`: None steps each sample by the classical Runge-Kutta method, cut as finely as the
+      vehicle's fastest mode needs. Any diffrax solver runs with adaptive steps inside each sample
+      (rtol 1e-8): `diffrax.Tsit5()`, or `diffrax.Kvaerno5()` for stiff vehicles.
+    - `earlier`: names of logs recorded before the effects with `since` began.
+    """
+    acting, segment = np.unique(gates(vehicle, log, earlier), axis=0, return_inverse=True)
+    count = len(vehicle.thruster_names)
+    commands = jnp.zeros((len(log.t), count)) if log.commands is None else jnp.asarray(log.commands)
+    wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
+    split = substeps(vehicle, log.dt)
+    return _roll_out(
+        vehicle, jnp.asarray(acting), jnp.asarray(segment.ravel()), start, jnp.asarray(log.t), commands, wrench, solver, split
+    )

@@ -1,0 +1,318 @@
+"""The vehicle: the stages in order, forward and inverse dynamics.
+
+    command -> thruster -> water -> inertia -> wrench -> sensor
+
+`Vehicle` is what the file says plus the effects placed in it. `Plant` is the vehicle at one time,
+when each effect either acts or does not yet, with its masses summed and inverted. All equations of
+motion stand on `Plant.balance`, the inverse dynamics.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ._errors import InputError
+from ._types import DOFS, Matrix6, Quaternion, Vector3, Velocity, Wrench
+from .effects import (
+    AbstractEffect,
+    DriveEffect,
+    LoadEffect,
+    Motion,
+    Readings,
+    SensorEffect,
+    WaterEffect,
+    WrenchEffect,
+    blend,
+)
+from .effects import FluidMemory
+from .physics import (
+    Drive,
+    Load,
+    apply,
+    attitude_rate,
+    coriolis,
+    damping,
+    rotation,
+    to_euler,
+)
+
+
+class State(eqx.Module):
+    """Position of `o` [m] NED, attitude quaternion, velocity over ground in body axes, fluid memory.
+
+    `memory` is the relative velocity passed through the lag of each axis; it is empty (shape 0)
+    in a vehicle without fluid memory.
+    """
+
+    position: Vector3
+    attitude: Quaternion
+    velocity: Velocity
+    memory: Float[Array, " memory"]
+
+
+class Input(eqx.Module):
+    """What drives the vehicle over one hold: thrust [N] before inflow loss, commands, a wrench, the time."""
+
+    thrust: Float[Array, " thrusters"]
+    command: Float[Array, " thrusters"]
+    wrench: Wrench
+    t: Float[Array, ""]
+
+
+class Body(eqx.Module):
+    """Rigid body about `o`: `matrix` M_RB, `mass` [kg], `cog` and `cob` [m], `weight` and `buoyancy` [N]."""
+
+    matrix: Matrix6
+    mass: Float[Array, ""]
+    cog: Vector3
+    cob: Vector3
+    weight: Float[Array, ""]
+    buoyancy: Float[Array, ""]
+
+
+class Damping(eqx.Module):
+    """`linear` D_l on nu_r, `quadratic` D_q on |nu_r| nu_r (elementwise); full 6x6, positive sign."""
+
+    linear: Matrix6
+    quadratic: Matrix6
+
+
+class Thrusters(eqx.Module):
+    """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`."""
+
+    position: Float[Array, "thrusters 3"]
+    direction: Float[Array, "thrusters 3"]
+    max_thrust: Float[Array, " thrusters"]
+    deadband: Float[Array, " thrusters"]
+    lag: Float[Array, " thrusters"]
+    delay: Float[Array, " thrusters"]
+    saturation: Float[Array, " thrusters"]
+
+    def drive(self) -> Drive:
+        one = jnp.ones_like(self.max_thrust)
+        return Drive(
+            delay=self.delay,
+            deadband=self.deadband,
+            saturation=self.saturation,
+            quadratic=0.0 * one,
+            gain=one,
+            lag=self.lag,
+            inflow=0.0 * one,
+            max_thrust=self.max_thrust,
+        )
+
+
+class Placed(eqx.Module):
+    """An effect in a vehicle, acting from `since` [s] of the log `since_log` on; None: always."""
+
+    effect: AbstractEffect
+    target: str | None = eqx.field(static=True, default=None)
+    since: float | None = eqx.field(static=True, default=None)
+    since_log: str | None = eqx.field(static=True, default=None)
+
+
+class Vehicle(eqx.Module):
+    """A marine vehicle: what its file says, and the effects placed in it."""
+
+    body: Body
+    added_mass: Matrix6
+    damping: Damping
+    thrusters: Thrusters
+    density: Float[Array, ""]
+    gravity: Float[Array, ""]
+    placed: tuple[Placed, ...]
+    name: str = eqx.field(static=True)
+    dof: tuple[str, ...] = eqx.field(static=True)
+    thruster_names: tuple[str, ...] = eqx.field(static=True)
+    # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
+    sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        for what, matrix in (
+            ("body.matrix", self.body.matrix),
+            ("added_mass", self.added_mass),
+            ("damping.linear", self.damping.linear),
+            ("damping.quadratic", self.damping.quadratic),
+        ):
+            # Under transformations leaves may be anything; only arrays have a shape to check.
+            if hasattr(matrix, "shape") and matrix.shape[-2:] != (6, 6):
+                raise ValueError(f"`{what}` must be 6x6, but is {matrix.shape}.")
+
+    @property
+    def free(self) -> Float[np.ndarray, "6"]:
+        """1 for each degree of freedom that can move, 0 for a locked one."""
+        return np.array([float(dof in self.dof) for dof in DOFS])
+
+    @property
+    def command_limits(self) -> np.ndarray:
+        """The largest command allowed per thruster."""
+        return np.maximum(1.0, np.asarray(self.thrusters.saturation))
+
+    @property
+    def mass_matrix(self) -> Matrix6:
+        """M_RB + M_A of the file's sections, without effects."""
+        return self.body.matrix + self.added_mass
+
+    def place(self, *placed: Placed) -> "Vehicle":
+        """The vehicle with more effects in it."""
+        return dataclasses.replace(self, placed=(*self.placed, *placed))
+
+    def plant(self, gates: Float[Array, " placed"] | None = None, extra: Sequence[AbstractEffect] = ()) -> "Plant":
+        """The vehicle while each placed effect acts (gate 1) or does not (0); None: all act.
+
+        `extra` are effects that act besides those placed; the diagnosis puts its suspicions there.
+        """
+        effects = [p.effect for p in self.placed]
+        if gates is not None:
+            effects = [
+                blend(type(e).neutral(self), e, gate) if p.since is not None else e
+                for e, p, gate in zip(effects, self.placed, gates, strict=True)
+            ]
+        effects = [*effects, *extra]
+
+        load = Load(
+            rigid=self.body.matrix,
+            added=self.added_mass,
+            weight=self.body.weight,
+            weight_moment=self.body.weight * self.body.cog,
+            buoyancy=self.body.buoyancy,
+            buoyancy_moment=self.body.buoyancy * self.body.cob,
+            density=self.density,
+            gravity=self.gravity,
+        )
+        drive = self.thrusters.drive()
+        water = jnp.zeros(3)
+        for effect in effects:
+            if isinstance(effect, LoadEffect):
+                load = effect(load)
+            elif isinstance(effect, DriveEffect):
+                drive = effect(drive)
+            elif isinstance(effect, WaterEffect):
+                water = water + effect()
+        free = jnp.asarray(self.free)
+        both = free[:, None] * free[None, :]
+        mass = both * (load.rigid + load.added) + jnp.diag(1.0 - free)
+        arms = jnp.cross(self.thrusters.position, self.thrusters.direction)
+        return Plant(
+            load=load,
+            inverse_mass=both * jnp.linalg.inv(mass),
+            damping=self.damping,
+            drive=drive,
+            direction=self.thrusters.direction,
+            allocation=jnp.concatenate([self.thrusters.direction, arms], axis=1).T,
+            water=water,
+            wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
+            sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
+            free=free,
+        )
+
+
+class Plant(eqx.Module):
+    """A vehicle at one time: constants ready for the equations of motion."""
+
+    load: Load
+    inverse_mass: Matrix6
+    damping: Damping
+    drive: Drive
+    direction: Float[Array, "thrusters 3"]
+    allocation: Float[Array, "6 thrusters"]
+    water: Vector3
+    wrenches: tuple[WrenchEffect, ...]
+    sensors: tuple[SensorEffect, ...]
+    free: Float[Array, "6"]
+
+    @property
+    def has_memory(self) -> bool:
+        return any(isinstance(e, FluidMemory) for e in self.wrenches)
+
+    def memory_lag(self) -> Float[Array, "6"]:
+        """Time constant of the fluid memory of each axis [s]."""
+        memories = [e for e in self.wrenches if isinstance(e, FluidMemory)]
+        lag = memories[0].time_constant
+        for memory in memories[1:]:
+            lag = jnp.where(memory.gain != 0.0, memory.time_constant, lag)
+        return jnp.maximum(lag, 1e-2)
+
+    def _motion(self, state: State, drive: Input) -> Motion:
+        turn = rotation(state.attitude)
+        relative = state.velocity - jnp.concatenate([apply(turn.T, self.water), jnp.zeros(3)])
+        return Motion(
+            position=state.position,
+            rotation=turn,
+            nu=state.velocity,
+            nu_r=relative * self.free,
+            lagged=state.memory,
+            t=drive.t,
+            command=drive.command,
+        )
+
+    def balance(self, state: State, nu_dot: Velocity, drive: Input) -> Wrench:
+        """Inverse dynamics: the wrench that is missing for the acceleration `nu_dot` under the given input.
+
+        `M_RB nu' + C_RB nu + M_A nu_r' + C_A nu_r + D nu_r + g - tau - (wrenches of effects)`, zero on
+        the free axes where `nu_dot` is the acceleration of this vehicle. Fossen (2021), eq. 10.124, with
+        `nu_r' = nu' + (w x R' v_c, 0)` for a current that is steady in earth axes. The Coriolis term
+        of the added mass uses the symmetric part of its matrix, which alone has kinetic energy.
+        """
+        motion = self._motion(state, drive)
+        omega = state.velocity[3:]
+        current = apply(motion.rotation.T, self.water)
+        relative_dot = nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
+        along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
+        thrust = drive.thrust * (1.0 - self.drive.inflow * along)
+        out = (
+            apply(self.load.rigid, nu_dot)
+            + coriolis(self.load.rigid, state.velocity)
+            + apply(self.load.added, relative_dot)
+            + coriolis(0.5 * (self.load.added + self.load.added.T), motion.nu_r)
+            + damping(self.damping.linear, self.damping.quadratic, motion.nu_r)
+            + self.load.restoring(motion.rotation[2])
+            - apply(self.allocation, thrust)
+            - drive.wrench
+        )
+        for effect in self.wrenches:
+            out = out - effect(motion)
+        return out
+
+    def acceleration(self, state: State, drive: Input) -> Velocity:
+        """Forward dynamics: nu' [m/s², rad/s²]; locked axes stay at rest."""
+        return -apply(self.inverse_mass, self.balance(state, jnp.zeros(6), drive))
+
+    def rates(self, state: State, drive: Input) -> State:
+        """Time derivative of the state."""
+        if self.has_memory:
+            relative = self._motion(state, drive).nu_r
+            memory = (relative - state.memory) / self.memory_lag()
+        else:
+            memory = jnp.zeros_like(state.memory)
+        return State(
+            position=apply(rotation(state.attitude), state.velocity[:3]),
+            attitude=attitude_rate(state.attitude, state.velocity[3:]),
+            velocity=self.acceleration(state, drive),
+            memory=memory,
+        )
+
+    def readings(self, state: State, nu_dot: Velocity) -> Float[Array, "18"]:
+        """What the sensors show, in the order of `_types.CHANNELS`."""
+        shown = Readings(state.position, to_euler(state.attitude), state.velocity, nu_dot)
+        turn = rotation(state.attitude)
+        for effect in self.sensors:
+            shown = effect(shown, turn)
+        return jnp.concatenate([shown.position, shown.attitude, shown.nu, shown.nu_dot])
+
+
+def forward_dynamics(vehicle: Vehicle, state: State, drive: Input) -> Velocity:
+    """Acceleration nu' [m/s², rad/s²] of the vehicle with all its effects acting."""
+    return vehicle.plant().acceleration(state, drive)
+
+
+def inverse_dynamics(vehicle: Vehicle, state: State, nu_dot: Velocity, t=0.0) -> Wrench:
+    """The control wrench at `o` [N, N m] that gives the acceleration `nu_dot`, for feedforward control."""
+    count = len(vehicle.thruster_names)
+    nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float))
+    return vehicle.plant().balance(state, nu_dot, nothing)

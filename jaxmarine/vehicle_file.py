@@ -1,0 +1,449 @@
+"""The vehicle file: what the user believes of a vehicle, checked, as plain numbers.
+
+SI units and radians; body axes about the origin `o`. Damping and added mass carry the positive
+sign.
+"""
+
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pydantic
+import tomli_w
+from jaxtyping import Float
+from pydantic import BeforeValidator, Field
+
+from ._errors import InputError
+from ._files import did_you_mean, read_toml, validated, written_whole
+from ._types import CHANNELS, DOFS, WRENCH
+
+# A direction this near to length one is kept to the last digit, so that files round-trip.
+_UNIT_LENGTH = 1e-9
+# Published inertia matrices are printed to a few digits.
+_SYMMETRY = 1e-6
+_RESERVED = ("t", "all", *CHANNELS, *WRENCH)
+
+
+def _number(value: Any) -> Any:
+    # pydantic would take "5" and true for numbers
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise ValueError(f"must be a number, but is {value!r:.60}.")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"must be a finite number, but is {value!r:.60}.")
+    return number
+
+
+def _nested(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _row(value: Any, length: int, what: str) -> tuple[float, ...]:
+    value = _nested(value)
+    if not isinstance(value, list | tuple) or len(value) != length:
+        found = f"has {len(value)}" if isinstance(value, list | tuple) else f"is {value!r:.60}"
+        raise ValueError(f"must be {what}, but {found}.")
+    try:
+        return tuple(_number(entry) for entry in value)
+    except ValueError as error:
+        raise ValueError(f"holds an entry that {error}") from error
+
+
+def _square(value: Any, size: int, what: str) -> tuple[tuple[float, ...], ...]:
+    value = _nested(value)
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"must be {what}, but is {value!r:.60}.")
+    lengths = [len(row) if isinstance(row, list | tuple) else None for row in map(_nested, value)]
+    if lengths != [size] * size:
+        rows = ", ".join("none" if length is None else str(length) for length in lengths)
+        raise ValueError(f"must be {what}, but its {len(value)} rows have the lengths {rows}.")
+    return tuple(_row(row, size, what) for row in value)
+
+
+def _triple(value: Any) -> tuple[float, ...]:
+    return _row(value, 3, "3 numbers [x, y, z]")
+
+
+def _matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
+    return _square(value, 3, "3 rows of 3 numbers")
+
+
+def _matrix6(value: Any) -> tuple[tuple[float, ...], ...]:
+    what = "6 rows of 6 numbers, or 6 numbers for a diagonal"
+    value = _nested(value)
+    if isinstance(value, list | tuple) and not any(isinstance(row, list | tuple) for row in value):
+        diagonal = _row(value, 6, what)
+        return tuple(tuple(row) for row in np.diag(diagonal).tolist())
+    return _square(value, 6, what)
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+Triple = Annotated[tuple[float, float, float], BeforeValidator(_triple)]
+Rows3 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix3)]
+Rows6 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix6)]
+
+
+class _Table(pydantic.BaseModel):
+    """A TOML table: values never change, and a key that nothing knows is an error."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_by_name=True)
+
+
+class Environment(_Table):
+    """Water and gravity."""
+
+    density: Number = Field(default=1025.0, gt=0, description="a positive number [kg/m³]")
+    gravity: Number = Field(default=9.81, gt=0, description="a positive number [m/s²]")
+
+
+class Body(_Table):
+    """The rigid body, about `o`."""
+
+    mass: Number = Field(gt=0, description="a positive number [kg]")
+    inertia: Rows3 | None = Field(
+        default=None, description="3 rows of 3 numbers [kg m²], the inertia about `o`"
+    )
+    cog: Triple = Field(description="[x, y, z] of the centre of gravity from `o` [m]")
+    cob: Triple = Field(description="[x, y, z] of the centre of buoyancy from `o` [m]")
+    weight: Number | None = Field(
+        default=None,
+        ge=0,
+        description="a number not below zero [N]; left out, mass * gravity",
+    )
+    buoyancy: Number | None = Field(
+        default=None, ge=0, description="a number not below zero [N]; left out, the weight"
+    )
+    mass_matrix: Rows6 | None = Field(
+        default=None, description="6 rows of 6 numbers, used as M_RB instead of mass and inertia"
+    )
+
+    @pydantic.field_validator("inertia")
+    @classmethod
+    def _proper_inertia(cls, inertia: Rows3 | None) -> Rows3 | None:
+        if inertia is not None:
+            _check_symmetric(np.array(inertia))
+        return inertia
+
+    @pydantic.field_validator("mass_matrix")
+    @classmethod
+    def _proper_mass_matrix(cls, matrix: Rows6 | None) -> Rows6 | None:
+        if matrix is not None:
+            _check_symmetric(np.array(matrix))
+        return matrix
+
+    @pydantic.model_validator(mode="after")
+    def _has_inertia(self) -> "Body":
+        if self.inertia is None and self.mass_matrix is None:
+            raise ValueError(
+                "lacks `inertia`; give 3 rows of 3 numbers [kg m²], the inertia about `o`."
+            )
+        return self
+
+
+class AddedMass(_Table):
+    """Added mass M_A, positive sign."""
+
+    matrix: Rows6 = Field(description="6 rows of 6 numbers (M_A), or 6 numbers for a diagonal")
+
+
+class Damping(_Table):
+    """D_l on nu and D_q on |nu_j| nu_j, positive sign."""
+
+    linear: Rows6 = Field(description="6 rows of 6 numbers (D_l), or 6 numbers for a diagonal")
+    quadratic: Rows6 = Field(description="6 rows of 6 numbers (D_q), or 6 numbers for a diagonal")
+
+
+class Thruster(_Table):
+    """One actuator with a command column of its name."""
+
+    name: str = Field(description="the name of the thruster's command column, in quotes")
+    position: Triple = Field(description="[x, y, z] from `o` [m]")
+    direction: Triple = Field(description="[x, y, z], not zero: where positive thrust pushes")
+    max_thrust: Number = Field(gt=0, description="a positive number, the thrust at command 1 [N]")
+    deadband: Number = Field(default=0.0, ge=0, description="a number not below zero [command]")
+    lag: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
+    delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
+    saturation: Number = Field(default=1.0, gt=0, description="a positive number [command]")
+
+    @pydantic.field_validator("name")
+    @classmethod
+    def _usable_name(cls, name: str) -> str:
+        if not name or name != name.strip() or not name.isprintable():
+            raise ValueError(f"is {name!r}, but must be a name without spaces around it.")
+        if name in _RESERVED:
+            raise ValueError(f"is `{name}`, which names something else in logs; choose another.")
+        return name
+
+    @pydantic.field_validator("direction")
+    @classmethod
+    def _unit_direction(cls, direction: Triple) -> tuple[float, ...]:
+        length = math.hypot(*direction)
+        if length == 0:
+            raise ValueError("must not be zero; give the direction of positive thrust.")
+        if abs(length - 1) < _UNIT_LENGTH:
+            return direction
+        return tuple(part / length for part in direction)
+
+
+class Sensors(_Table):
+    """Standard deviations of white noise; what is absent is estimated from the log."""
+
+    position: Number | None = Field(default=None, gt=0, description="a positive number [m]")
+    attitude: Number | None = Field(default=None, gt=0, description="a positive number [rad]")
+    velocity: Number | None = Field(default=None, gt=0, description="a positive number [m/s]")
+    rate: Number | None = Field(default=None, gt=0, description="a positive number [rad/s]")
+    acceleration: Number | None = Field(default=None, gt=0, description="a positive number [m/s²]")
+    angular_acceleration: Number | None = Field(
+        default=None, gt=0, description="a positive number [rad/s²]"
+    )
+
+    def stated(self) -> dict[str, float]:
+        """The kinds that are given, with their standard deviations in SI units."""
+        return self.model_dump(exclude_none=True)
+
+
+class EffectEntry(_Table):
+    """One change that a diagnosis has added; all other keys of its table are `parameters`."""
+
+    effect: str = Field(min_length=1, description="the name of an effect, in quotes")
+    target: str | None = Field(default=None, description="a name in quotes")
+    since: Number | None = Field(default=None, description="a finite number [s]")
+    since_log: str | None = Field(default=None, description="the file name of a log, in quotes")
+    arrays: str | None = Field(default=None, description="the name of a file beside this one")
+    inputs: tuple[str, ...] = Field(default=(), description="a list of signal names in quotes")
+    parameters: dict[str, Number] = Field(default={}, description="numbers by name")
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _gather_parameters(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or isinstance(data.get("parameters"), Mapping):
+            return data
+        own = {key: value for key, value in data.items() if key in cls.model_fields}
+        parameters = {key: value for key, value in data.items() if key not in own}
+        if "parameters" in own:
+            raise ValueError("has a key `parameters`; write each parameter as a key of its own.")
+        for key, value in parameters.items():
+            try:
+                _number(value)
+            except ValueError as error:
+                raise ValueError(
+                    f"has a key `{key}` that {error} Parameters are numbers; other keys are "
+                    f"{', '.join(name for name in cls.model_fields if name != 'parameters')}."
+                ) from error
+        return own | {"parameters": parameters}
+
+    @pydantic.field_validator("arrays")
+    @classmethod
+    def _plain_file_name(cls, arrays: str | None) -> str | None:
+        if arrays is not None and (
+            arrays in ("", ".", "..") or not arrays.isprintable() or set(arrays) & set("/\\:")
+        ):
+            raise ValueError(
+                f"is {arrays!r:.60}, but must be a plain file name without folders; put the file "
+                "beside this one."
+            )
+        return arrays
+
+    @pydantic.model_validator(mode="after")
+    def _since_has_a_time(self) -> "EffectEntry":
+        if self.since_log is not None and self.since is None:
+            raise ValueError("has `since_log` without `since`; give the time in that log [s].")
+        return self
+
+
+class VehicleFile(_Table):
+    """The vehicle file as it stands, with 6-number diagonals written out."""
+
+    schema_version: int = Field(alias="schema", strict=True, description="1")
+    name: str = Field(min_length=1, description="the vehicle's name, in quotes")
+    dof: tuple[str, ...] = Field(
+        default=DOFS, description=f"a list of free degrees of freedom out of {', '.join(DOFS)}"
+    )
+    environment: Environment = Field(default=Environment(), description="a table [environment]")
+    body: Body = Field(description="a table [body] with mass, inertia, cog and cob")
+    added_mass: AddedMass = Field(description="a table [added_mass] with matrix")
+    damping: Damping = Field(description="a table [damping] with linear and quadratic")
+    thruster: tuple[Thruster, ...] = Field(default=(), description="tables [[thruster]]")
+    sensors: Sensors = Field(default=Sensors(), description="a table [sensors]")
+    effect: tuple[EffectEntry, ...] = Field(default=(), description="tables [[effect]]")
+
+    @pydantic.field_validator("schema_version")
+    @classmethod
+    def _known_schema(cls, version: int) -> int:
+        if version != 1:
+            raise ValueError(f"is {version}, but only 1 is known; use a newer jaxmarine.")
+        return version
+
+    @pydantic.field_validator("dof")
+    @classmethod
+    def _known_dof(cls, dof: tuple[str, ...]) -> tuple[str, ...]:
+        for name in dof:
+            if name not in DOFS:
+                raise ValueError(
+                    f"holds {name!r:.60}, which is no degree of freedom; {did_you_mean(name, DOFS)}"
+                )
+        if not dof or len(set(dof)) < len(dof):
+            raise ValueError(
+                f"is {list(dof)}, but must name each free degree of freedom once, and at least one."
+            )
+        return tuple(name for name in DOFS if name in dof)
+
+    @pydantic.field_validator("thruster")
+    @classmethod
+    def _names_once(cls, thruster: tuple[Thruster, ...]) -> tuple[Thruster, ...]:
+        names = [one.name for one in thruster]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"has the name `{twice}` more than once; name each thruster its own.")
+        return thruster
+
+    @pydantic.model_validator(mode="after")
+    def _accelerates(self) -> "VehicleFile":
+        free = np.isin(DOFS, self.dof)
+        if self.body.inertia is not None:
+            inertia = np.array(self.body.inertia)
+            turning = inertia[np.ix_(free[3:], free[3:])]
+            # about a locked axis nobody need know the inertia, and zero stands for that
+            if not _positive_definite(turning) or np.linalg.eigvalsh(inertia)[0] < -1e-12:
+                raise ValueError(
+                    "`body.inertia` must be positive definite, as that of any body is; check its "
+                    "signs and products of inertia."
+                )
+        total = self.rigid_body_matrix + self.added_mass_matrix
+        if not _positive_definite(((total + total.T) / 2)[np.ix_(free, free)]):
+            raise ValueError(
+                "The mass of body and added mass together must be positive definite on the free "
+                "degrees of freedom, but is not; check the signs of `added_mass.matrix`, and that "
+                "`body.inertia` is about `o`, not about the centre of gravity."
+            )
+        return self
+
+    @property
+    def thruster_names(self) -> tuple[str, ...]:
+        """Names of the command columns, in the file's order."""
+        return tuple(thruster.name for thruster in self.thruster)
+
+    @property
+    def command_limits(self) -> Float[np.ndarray, " thrusters"]:
+        """The largest |command| that a log may hold: a saturation above 1 widens [-1, 1]."""
+        return np.array([max(1.0, thruster.saturation) for thruster in self.thruster], float)
+
+    @property
+    def weight(self) -> float:
+        """Weight [N]."""
+        body = self.body
+        return body.mass * self.environment.gravity if body.weight is None else body.weight
+
+    @property
+    def buoyancy(self) -> float:
+        """Buoyancy of the whole vehicle [N]."""
+        return self.weight if self.body.buoyancy is None else self.body.buoyancy
+
+    @property
+    def rigid_body_matrix(self) -> Float[np.ndarray, "6 6"]:
+        """M_RB about `o` [kg, kg m, kg m²]: [[m I, -m S(cog)], [m S(cog), inertia]]."""
+        if self.body.mass_matrix is not None:
+            return np.array(self.body.mass_matrix)
+        mass, (x, y, z) = self.body.mass, self.body.cog
+        moment = mass * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.block([[mass * np.eye(3), -moment], [moment, np.array(self.body.inertia)]])
+
+    @property
+    def added_mass_matrix(self) -> Float[np.ndarray, "6 6"]:
+        """M_A [kg, kg m, kg m²]."""
+        return np.array(self.added_mass.matrix)
+
+    @property
+    def linear(self) -> Float[np.ndarray, "6 6"]:
+        """D_l, the force on row i per velocity j."""
+        return np.array(self.damping.linear)
+
+    @property
+    def quadratic(self) -> Float[np.ndarray, "6 6"]:
+        """D_q, the force on row i per |nu_j| nu_j."""
+        return np.array(self.damping.quadratic)
+
+
+CheckEffect = Callable[[EffectEntry, VehicleFile], None]
+
+
+def read_vehicle_file(
+    path: str | os.PathLike[str], check_effect: CheckEffect | None = None
+) -> VehicleFile:
+    """Read and check a vehicle file; raises `InputError` with one sentence.
+
+    `check_effect` raises a `ValueError` for an effect that it does not know; its message continues
+    a sentence that begins with the entry, such as "names no known effect".
+    """
+    file = validated(VehicleFile, read_toml(path), str(path))
+    for number, entry in enumerate(file.effect, start=1):
+        try:
+            if check_effect is not None:
+                check_effect(entry, file)
+        except ValueError as error:
+            raise InputError(f"{path}: `effect[{number}]` {error}") from error
+    return file
+
+
+def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str]) -> None:
+    """Write the file as TOML, whole or not at all; every number keeps all its digits."""
+    with written_whole(path) as beside:
+        Path(beside).write_text(_toml(file), encoding="utf-8")
+
+
+def _toml(file: VehicleFile) -> str:
+    data = file.model_dump(by_alias=True, exclude_none=True)
+    tables = {key: value for key, value in data.items() if isinstance(value, dict) and value}
+    entries = [("thruster", entry) for entry in data["thruster"]]
+    for entry in data["effect"]:
+        parameters = entry.pop("parameters")
+        inputs = entry.pop("inputs")
+        entries.append(("effect", entry | ({"inputs": inputs} if inputs else {}) | parameters))
+    top = {key: value for key, value in data.items() if key in ("schema", "name", "dof")}
+    parts = ["".join(map(_line, top.items()))]
+    parts += [f"[{key}]\n" + "".join(map(_line, table.items())) for key, table in tables.items()]
+    parts += [f"[[{key}]]\n" + "".join(map(_line, entry.items())) for key, entry in entries]
+    return "\n".join(parts)
+
+
+def _line(item: tuple[str, Any]) -> str:
+    """One key with its value; a matrix stands in rows, as people read it."""
+    key, value = item
+    if not isinstance(value, tuple):
+        return tomli_w.dumps({key: value})
+    if value and isinstance(value[0], tuple):
+        rows = "".join(f"    {_list(row)},\n" for row in value)
+        return f"{key} = [\n{rows}]\n"
+    return f"{key} = {_list(value)}\n"
+
+
+def _list(values: Iterable[float | str]) -> str:
+    # tomli_w would give every entry a line of its own
+    entries = (tomli_w.dumps({"x": value}).removeprefix("x = ").strip() for value in values)
+    return f"[{', '.join(entries)}]"
+
+
+def _check_symmetric(matrix: np.ndarray) -> None:
+    if np.max(np.abs(matrix - matrix.T)) > _SYMMETRY * np.max(np.abs(matrix)):
+        row, column = np.unravel_index(np.argmax(np.abs(matrix - matrix.T)), matrix.shape)
+        raise ValueError(
+            f"must be symmetric, but entry ({row + 1}, {column + 1}) is {matrix[row, column]:g} "
+            f"and entry ({column + 1}, {row + 1}) is {matrix[column, row]:g}."
+        )
+
+
+def _positive_definite(matrix: np.ndarray) -> bool:
+    # scaled to a unit diagonal, as masses and inertias differ by orders of magnitude
+    diagonal = np.diag(matrix)
+    if np.any(diagonal <= 0):
+        return False
+    if not len(diagonal):
+        return True
+    scale = np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > 1e-12)

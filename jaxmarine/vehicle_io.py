@@ -1,0 +1,195 @@
+"""Vehicles in files: TOML read into a `Vehicle` and written back, learned terms beside it."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ._errors import InputError
+from ._files import did_you_mean, existing_file, written_whole
+from .effects import CATALOGUE, AbstractEffect, Suspect, place
+from .networks import LearnedWrench, signals_known
+from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
+from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
+
+
+def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
+    """The catalogue's suspect of that effect and target; ValueError says what there is instead."""
+    by_name = {cls.name: cls for cls in catalogue}
+    if effect not in by_name:
+        raise ValueError(f"names `{effect}`, which is no known effect; {did_you_mean(effect, by_name)}")
+    suspects = by_name[effect].suspects(craft)
+    for suspect in suspects:
+        if suspect.target == target:
+            return suspect
+    targets = ", ".join(str(suspect.target) for suspect in suspects)
+    if not suspects:
+        raise ValueError(f"is `{effect}`, which this vehicle's free axes and thrusters do not allow.")
+    raise ValueError(f"has the target `{target}`, but `{effect}` takes one of: {targets}.")
+
+
+def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
+    if entry.effect == LearnedWrench.name:
+        if entry.target not in file.dof:
+            raise ValueError(f"has the target `{entry.target}`, but must name a free axis: {', '.join(file.dof)}.")
+        if entry.arrays is None or not entry.inputs:
+            raise ValueError("is a learned term and needs `arrays` and `inputs`.")
+        for name in entry.inputs:
+            if not signals_known(name, file.thruster_names):
+                raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
+        return
+    if entry.arrays is not None or entry.inputs:
+        raise ValueError("has `arrays` or `inputs`, which only a learned term (`unknown`) has.")
+
+
+def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
+    def column(name: str, width: tuple[int, ...] = ()):
+        values = [getattr(thruster, name) for thruster in file.thruster]
+        return jnp.asarray(np.array(values, float).reshape(len(values), *width))
+
+    def number(value):
+        return jnp.asarray(np.array(value, float))
+
+    return Vehicle(
+        body=Body(
+            matrix=number(file.rigid_body_matrix),
+            mass=number(file.body.mass),
+            cog=number(file.body.cog),
+            cob=number(file.body.cob),
+            weight=number(file.weight),
+            buoyancy=number(file.buoyancy),
+        ),
+        added_mass=number(file.added_mass_matrix),
+        damping=Damping(number(file.linear), number(file.quadratic)),
+        thrusters=Thrusters(
+            position=column("position", (3,)),
+            direction=column("direction", (3,)),
+            **{name: column(name) for name in ("max_thrust", "deadband", "lag", "delay", "saturation")},
+        ),
+        density=number(file.environment.density),
+        gravity=number(file.environment.gravity),
+        placed=placed,
+        name=file.name,
+        dof=file.dof,
+        thruster_names=file.thruster_names,
+        sensors=tuple(file.sensors.stated().items()),
+    )
+
+
+def load_vehicle(
+    path: str | os.PathLike[str], catalogue: tuple[type[AbstractEffect], ...] = CATALOGUE
+) -> Vehicle:
+    """Reads a vehicle file with its effects; raises `InputError` with one sentence.
+
+    - `catalogue`: the effects that entries may name; pass `(*CATALOGUE, YourEffect)` for one of your own.
+    """
+    file = read_vehicle_file(path, _check_effect)
+    vehicle = _vehicle(file)
+    placed = []
+    for number, entry in enumerate(file.effect, start=1):
+        if entry.effect == LearnedWrench.name:
+            effect = _load_learned(Path(path), entry, file)
+        else:
+            try:
+                suspect = suspect_named(vehicle, entry.effect, entry.target, catalogue)
+                unknown = [name for name in entry.parameters if name not in entry_names(suspect)]
+                if unknown:
+                    raise ValueError(
+                        f"has the parameter `{unknown[0]}`; `{entry.effect}` has "
+                        f"{', '.join(entry_names(suspect))}."
+                    )
+            except ValueError as error:
+                raise InputError(f"{path}: `effect[{number}]` {error}") from error
+            used = {name: value for name, value in entry.parameters.items() if name in suspect.slots}
+            effect = place(suspect, vehicle, used)
+        placed.append(Placed(effect, entry.target, entry.since, entry.since_log))
+    return vehicle.place(*placed)
+
+
+def entry_names(suspect: Suspect) -> tuple[str, ...]:
+    """The parameters that a file may give; those that a locked axis makes idle are allowed."""
+    return tuple(suspect.effect.units)
+
+
+def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedWrench:
+    beside = existing_file(path.parent / str(entry.arrays))
+    try:
+        with np.load(beside, allow_pickle=False) as stored:
+            arrays = {name: jnp.asarray(stored[name], float) for name in stored.files}
+        return LearnedWrench(
+            **arrays, target=str(entry.target), inputs=entry.inputs, thrusters=file.thruster_names
+        )
+    except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
+        raise InputError(f"{beside}: is no file of arrays of a learned term ({error}).") from error
+
+
+def _parameters(placed: Placed, vehicle: Vehicle) -> Mapping[str, float]:
+    suspect = suspect_named(vehicle, placed.effect.name, placed.target, (type(placed.effect),))
+    flat = np.concatenate([np.ravel(v) for v in placed.effect.parameters().values()])
+    return {name: float(flat[slots[0]]) for name, slots in suspect.slots.items()}
+
+
+def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
+    """Writes the vehicle with its effects as TOML; arrays of learned terms as `.npz` beside it."""
+    path = Path(path)
+    entries = []
+    for number, placed in enumerate(vehicle.placed):
+        entry: dict = {"effect": placed.effect.name, "target": placed.target}
+        entry |= {"since": placed.since, "since_log": placed.since_log}
+        if isinstance(placed.effect, LearnedWrench):
+            beside = path.with_name(f"{path.stem}_{placed.target}_{number}.npz")
+            with written_whole(beside) as whole, open(whole, "wb") as stream:
+                np.savez(stream, **placed.effect.arrays())
+            entry |= {"arrays": beside.name, "inputs": placed.effect.inputs}
+        else:
+            entry |= {"parameters": dict(_parameters(placed, vehicle))}
+        entries.append({key: value for key, value in entry.items() if value is not None})
+    thrusters = vehicle.thrusters
+    body = vehicle.body
+    file = VehicleFile.model_validate(
+        {
+            "schema": 1,
+            "name": vehicle.name,
+            "dof": vehicle.dof,
+            "environment": {"density": float(vehicle.density), "gravity": float(vehicle.gravity)},
+            "body": {
+                "mass": float(body.mass),
+                "inertia": np.asarray(body.matrix)[3:, 3:],
+                "cog": np.asarray(body.cog),
+                "cob": np.asarray(body.cob),
+                "weight": float(body.weight),
+                "buoyancy": float(body.buoyancy),
+                "mass_matrix": np.asarray(body.matrix),
+            },
+            "added_mass": {"matrix": np.asarray(vehicle.added_mass)},
+            "damping": {
+                "linear": np.asarray(vehicle.damping.linear),
+                "quadratic": np.asarray(vehicle.damping.quadratic),
+            },
+            "thruster": [
+                {
+                    "name": name,
+                    "position": np.asarray(thrusters.position[i]),
+                    "direction": np.asarray(thrusters.direction[i]),
+                    **{
+                        key: float(getattr(thrusters, key)[i])
+                        for key in ("max_thrust", "deadband", "lag", "delay", "saturation")
+                    },
+                }
+                for i, name in enumerate(vehicle.thruster_names)
+            ],
+            "sensors": dict(vehicle.sensors),
+            "effect": entries,
+        }
+    )
+    write_vehicle_file(file, path)
+
+
+def packaged_vehicle(name: str) -> Path:
+    """The file of a vehicle that comes with the package, such as `tethra`."""
+    return Path(__file__).parent / "vehicles" / f"{name}.toml"
+
+
+

@@ -1,0 +1,26 @@
+"""What all tests share: double precision, strict shapes and fixed seeds."""
+
+from pathlib import Path
+
+import hypothesis
+import jax
+import pytest
+
+# Dtype promotion stays "standard": optax multiplies integer step counts by floats.
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Derandomised, so that a run is repeatable; without deadline, because the first example compiles.
+hypothesis.settings.register_profile("jaxmarine", derandomize=True, deadline=None)
+hypothesis.settings.load_profile("jaxmarine")
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of recordings beside the repository, which not every machine has."""
+    folder = ROOT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("the folder ../shared with recordings is not on this machine")
+    return folder

@@ -1,0 +1,596 @@
+"""The report: what it says, that it stands alone, and that names from files stay text."""
+
+import dataclasses
+import html.parser
+import json
+import re
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmarine._errors import InputError
+from jaxmarine._types import CHANNELS, DOFS
+from jaxmarine.diagnosis._result import (
+    Alternative,
+    BeforeAfter,
+    Diagnosis,
+    Finding,
+    Gain,
+    MissingWrench,
+    Parameter,
+    Predictions,
+    Recalibrated,
+    Weighed,
+)
+from jaxmarine.effects import CATALOGUE
+from jaxmarine.reports import _causes, _curves, _numbers, _page, _words, _write, write_report
+from jaxmarine.vehicle import Body, Damping, Thrusters, Vehicle
+
+PLANAR = ("surge", "sway", "yaw")
+TRAIN = ("run1.csv", "run2.csv", "run3.csv")
+EVIL = "<script>alert(1)</script>"
+
+
+def vehicle(name: str = "catamaran", dof: tuple[str, ...] = PLANAR) -> Vehicle:
+    diagonal = jnp.diag(jnp.array([55.0, 55.0, 55.0, 5.0, 14.0, 14.0]))
+    return Vehicle(
+        body=Body(
+            matrix=diagonal,
+            mass=jnp.array(55.0),
+            cog=jnp.zeros(3),
+            cob=jnp.array([0.0, 0.0, -0.1]),
+            weight=jnp.array(539.6),
+            buoyancy=jnp.array(539.6),
+        ),
+        added_mass=0.5 * diagonal,
+        damping=Damping(linear=1.4 * diagonal, quadratic=diagonal),
+        thrusters=Thrusters(
+            position=jnp.array([[-0.5, -0.4, 0.0], [-0.5, 0.4, 0.0]]),
+            direction=jnp.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+            max_thrust=jnp.array([100.0, 100.0]),
+            deadband=jnp.zeros(2),
+            lag=jnp.zeros(2),
+            delay=jnp.zeros(2),
+            saturation=jnp.ones(2),
+        ),
+        density=jnp.array(1025.0),
+        gravity=jnp.array(9.81),
+        placed=(),
+        name=name,
+        dof=dof,
+        thruster_names=("port", "starboard"),
+    )
+
+
+def predictions(dof: tuple[str, ...] = PLANAR, starts: int = 40) -> Predictions:
+    """A craft on wide turns; before drifts off with the horizon's square, after hardly does."""
+    rng = np.random.default_rng(0)
+    ahead = np.linspace(-1.0, 5.0, 61)
+    times = np.linspace(10.0, 280.0, starts)[:, None] + ahead
+    locked = [i for i in range(18) if DOFS[i % 6] not in dof]
+    noise = np.repeat([0.02, 0.01, 0.005, 0.005, 0.02, 0.02], 3)
+    truth = np.zeros((*times.shape, 18))
+    truth[..., 0], truth[..., 1] = 20 * np.sin(times / 20), 20 * np.cos(times / 20)
+    truth[..., 2:5] = 0.1 * np.sin(times / 3.0)[..., None]
+    truth[..., 5] = (times / 5.0) % (2 * np.pi) - np.pi
+    truth[..., 6:12] = 0.6 + 0.3 * np.sin(times[..., None] / 7.0 + np.arange(6))
+    truth[..., 12:] = 0.05 * np.cos(times[..., None] / 7.0 + np.arange(6))
+    shape = np.where(ahead > 0, ahead, 0.0)[None, :, None] ** 2 * rng.normal(
+        1.0, 0.3, (starts, 1, 18)
+    )
+    measured = truth + rng.normal(0.0, 1.0, truth.shape) * noise
+    measured[..., 12:] = np.nan  # no accelerations in this log
+    measured[..., locked] = np.nan
+    noise[12:] = np.nan
+    noise[locked] = np.nan
+    size = np.repeat([0.02, 0.01, 0.01, 0.008, 0.01, 0.01], 3)
+    return Predictions(
+        times=times,
+        begin=10,
+        measured=measured,
+        before=truth + size * shape,
+        after=truth + 0.05 * size * shape,
+        noise=noise,
+    )
+
+
+def missing(size: float, dof: tuple[str, ...] = PLANAR, logs: int = 3) -> MissingWrench:
+    """A wrench that begins at 120 s of the last log, with noise that each model leaves."""
+    rng = np.random.default_rng(1)
+    t = np.tile(np.arange(1.0, 300.0, 2.0), logs)
+    log = np.repeat(np.arange(logs), t.size // logs)
+    velocity = 0.8 * np.sin(t[:, None] / 9.0 + np.arange(6))
+    acting = size * ((log == logs - 1) & (t > 120.0))
+    wrench = 2.0 * rng.normal(size=velocity.shape) + acting[:, None] * np.sin(t / 13.0)[:, None]
+    std = np.full_like(wrench, 2.0)
+    for i, name in enumerate(DOFS):
+        if name not in dof:
+            wrench[:, i] = std[:, i] = np.nan
+    return MissingWrench(log=log, t=t, wrench=wrench, std=std, velocity=velocity)
+
+
+PORT = Finding(
+    effect="thruster_gain",
+    target="port",
+    since=120.0,
+    since_log="run3.csv",
+    parameters={"factor": Parameter(0.7104, 0.0101, "1")},
+    log_evidence=812.4,
+    alternatives=(
+        Alternative("inflow_loss", None, 810.9, True),
+        Alternative("thrust_curve", None, 310.2, False),
+    ),
+)
+CURRENT = Finding(
+    effect="steady_current",
+    target=None,
+    since=None,
+    since_log=None,
+    parameters={
+        "north": Parameter(-0.08, 0.003, "m/s"),
+        "east": Parameter(0.11, 0.004, "m/s"),
+    },
+    log_evidence=96.1,
+)
+STRANGE = Finding("unknown", "yaw", None, None, {}, 41.0)
+
+ROUND = (
+    Weighed("thruster_gain:port", 812.4, 1650.0, {"factor": 0.71}),
+    Weighed("inflow_loss", 810.9, 1646.0, {"per_speed": 0.3}, "cannot be told from the first"),
+    Weighed("thrust_curve", 310.2, 640.0, {"quadratic": 0.4}, "explains less"),
+    *(
+        Weighed(f"linear_damping:{dof}", 50.0 - i, 100.0, {"value": 9.0})
+        for i, dof in enumerate(DOFS)
+    ),
+    Weighed("gyro_bias", float("nan"), 0.0, {"r": 0.0}, "could not be fitted"),
+    Weighed("deadband", -3.1, 0.1, {"width": 0.0}),
+)
+SECOND = (
+    Weighed("steady_current", 96.1, 205.0, {"north": -0.08, "east": 0.11}),
+    Weighed("constant_wrench:sway", 44.0, 95.0, {"value": 3.0}),
+)
+
+
+def diagnosis(**changes) -> Diagnosis:
+    """A weak port thruster in a current, plausible in all its parts; `changes` replace some."""
+    parts = {
+        "verdict": "explained",
+        "findings": (PORT, CURRENT),
+        "gain": Gain(
+            horizon=5.0,
+            position=BeforeAfter(0.41, 0.03),
+            velocity=BeforeAfter(0.11, 0.006),
+            ratio=0.07,
+            ratio_ci95=(0.06, 0.08),
+            held_out=True,
+            starts=40,
+        ),
+        "white": True,
+        "depends_on": (),
+        "vehicle": vehicle(),
+        "extended": vehicle(),
+        "recalibrated": (Recalibrated("linear_damping:surge", 77.0, 80.4, 1.2, "N s/m"),),
+        "rounds": (
+            ROUND,
+            SECOND,
+            (Weighed("waves", 0.4, 6.0, {"north": 0.1}, "not worth adding"),),
+        ),
+        "groups": (("thruster_gain:port", "inflow_loss"),),
+        "misfit_before": 6.31,
+        "misfit_after": 1.02,
+        "predictions": predictions(),
+        "missing_before": missing(25.0),
+        "missing_after": missing(0.0),
+        "train": TRAIN,
+        "test": "run4.csv",
+        "notes": ("Noise of the position was estimated from the logs.",),
+    }
+    return Diagnosis(**{**parts, **changes})
+
+
+def nothing() -> Diagnosis:
+    one = predictions()
+    return diagnosis(
+        verdict="nothing_found",
+        findings=(),
+        gain=Gain(5.0, None, None, 1.0, (1.0, 1.0), False, 40),
+        recalibrated=(),
+        rounds=((Weighed("waves", 0.4, 6.0, {}), Weighed("input_delay", 0.1, 1.0, {})),),
+        groups=(),
+        misfit_before=1.02,
+        misfit_after=1.02,
+        predictions=dataclasses.replace(one, before=one.after),
+        missing_before=missing(0.0, logs=1),
+        missing_after=missing(0.0, logs=1),
+        train=("run1.csv",),
+        test="run1.csv",
+        notes=(),
+    )
+
+
+def unexplained() -> Diagnosis:
+    return diagnosis(
+        verdict="partly_explained",
+        findings=(CURRENT, STRANGE),
+        white=False,
+        depends_on=("r", "port", "t"),
+        vehicle=vehicle(dof=DOFS),
+        predictions=predictions(DOFS),
+        missing_before=missing(25.0, DOFS),
+        missing_after=missing(5.0, DOFS),
+    )
+
+
+class Reader(html.parser.HTMLParser):
+    """The page as a reader sees it, and everything in it that could load something."""
+
+    def __init__(self, content: str):
+        super().__init__()
+        self.words: list[str] = []
+        self.scripts: list[str] = []
+        self.links: list[str | None] = []
+        self.silent = ""
+        self.feed(content)
+        self.text = re.sub(r"\s+", " ", "".join(self.words))
+
+    def handle_starttag(self, tag, attrs):
+        if tag in ("script", "style"):
+            self.silent = tag
+        if tag == "script":
+            self.scripts.append(dict(attrs).get("type") or "")
+        self.links += [value for key, value in attrs if key in ("href", "src", "action", "data")]
+
+    def handle_endtag(self, tag):
+        if tag == self.silent:
+            self.silent = ""
+
+    def handle_data(self, data):
+        if not self.silent:
+            self.words.append(data)
+
+
+def read(content: Path) -> Reader:
+    return Reader(content.read_text("utf-8"))
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory) -> Path:
+    return write_report(diagnosis(), tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture
+def quick_pictures(monkeypatch):
+    """For tests of how files are written, not of what is drawn."""
+    monkeypatch.setattr(_write, "pictures", lambda diagnosis: {"evidence.png": b"drawn"})
+
+
+def test_the_page_says_what_is_wrong_and_what_to_do(report):
+    text = read(report).text
+    assert "2 causes explain these logs: thrust of port and steady current." in text
+    assert (
+        "Thruster port gives 0.710 ± 0.010 times the thrust of the file, since t = 120 s of run"
+        in text
+    )
+    assert (
+        "The water moves 0.14 m/s towards 126° (north −0.080 ± 0.003 m/s, east 0.110 ± 0.004 m/s)."
+        in text
+    )
+    assert "Inspect the propeller and the motor named" in text
+    assert "Very strong (log evidence 812; more than 5 is very strong)." in text
+    assert "These logs cannot tell it from: thrust lost to the inflow." in text
+    assert "A log with each thruster driven by itself (shows thrust of port); with the same" in text
+    assert (
+        "the vehicle file is off by 2.5 times the sensor noise, the extended vehicle by no" in text
+    )
+    assert "factor 0.71" in text and "north −0.08 m/s, east 0.11 m/s" in text
+    assert "now have 7 % of the error that they had (95 % interval 6 % to 8 %)" in text
+    assert "Held out: run4.csv was not used" in text
+    assert "0.41 m" in text and "0.03 m" in text
+    assert "Noise of the position was estimated from the logs." in text
+
+
+def test_the_page_stands_alone(report):
+    page = read(report)
+    assert page.scripts == ["application/json", "", ""]
+    assert [link for link in page.links if not (link or "").startswith("#")] == []
+    content = report.read_text("utf-8")
+    assert "default-src 'none'" in content
+    ours = (
+        content[: content.index("plotly.js v")] + content[content.rindex("</script>\n<script>") :]
+    )
+    assert "http://" not in ours and "https://" not in ours
+    assert report.stat().st_size < 6e6
+
+
+def test_all_files_are_there_and_nothing_else(report):
+    written = {str(path.relative_to(report.parent)) for path in report.parent.rglob("*")}
+    assert written == {
+        "index.html",
+        "diagnosis.json",
+        "figures",
+        "figures/error_vs_horizon.png",
+        "figures/missing_wrench.png",
+        "figures/evidence.png",
+        "figures/trajectories.png",
+    }
+    for picture in (report.parent / "figures").iterdir():
+        assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_json_is_what_the_diagnosis_says(report):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    text = (report.parent / "diagnosis.json").read_text()
+    said = json.loads(text, parse_constant=refuse)
+    assert said == json.loads(json.dumps(diagnosis().to_json()))
+    assert said["findings"][0]["parameters"]["factor"]["value"] == 0.7104
+
+
+def figures(page: Path) -> dict:
+    found = re.search(r'id="figures">(.*?)</script>', page.read_text("utf-8"), re.S)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def test_figures_hold_free_axes_and_measured_channels_only(report):
+    drawn = figures(report)
+    titles = {drawn[f"missing-2-{i}"]["layout"]["yaxis"]["title"]["text"] for i in (0, 1, 5)}
+    assert titles == {"X [N]", "Y [N]", "N [N m]"}
+    assert "missing-2-2" not in drawn  # heave is locked
+    assert "trajectory-psi-0" in drawn and "trajectory-du-0" not in drawn
+    errors = [figure for key, figure in drawn.items() if key.startswith("error-")]
+    units = [figure["layout"]["yaxis"]["title"]["text"] for figure in errors]
+    assert units == [f"rms error [{unit}]" for unit in ("m", "°", "m/s", "°/s")]
+    # The beginning of the finding is marked in its own log and in no other.
+    assert drawn["missing-2-0"]["layout"]["shapes"][0]["x0"] == 120.0
+    assert "shapes" not in drawn["missing-0-0"]["layout"]
+
+
+def test_nothing_found_says_what_was_checked(tmp_path):
+    text = read(write_report(nothing(), tmp_path)).text
+    assert "Nothing is wrong that these logs could show" in text
+    assert (
+        "Over 1 training log, the vehicle file is off by no more than the sensor noise. What"
+        in text
+    )
+    assert "These were checked: delay of the commands and waves." in text
+    assert "Not held out: run1.csv was also used for training" in text
+    assert "not measured" in text
+    said = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert said["findings"] == [] and said["gain"]["position_rmse_m"] is None
+
+
+def test_an_unknown_cause_names_axis_signals_and_learned_term():
+    text = Reader(_page.page(unexplained())).text
+    assert "Steady current explains a part of what these logs show; something that" in text
+    assert "A moment in yaw acts on the vehicle that no known cause explains." in text
+    assert "Look for what changes with the yaw rate r, command of port and time t." in text
+    assert "carries a term learned from the log" in text
+
+
+def test_a_vehicle_without_predictions_or_wrench_still_has_a_page(tmp_path):
+    none = np.zeros((0, 61, 18))
+    empty = Predictions(np.zeros((0, 61)), 10, none, none, none, np.full(18, np.nan))
+    lost = MissingWrench(np.zeros(0, int), np.zeros(0), *(np.zeros((0, 6)) for _ in range(3)))
+    bare = diagnosis(
+        predictions=empty, missing_before=lost, missing_after=lost, rounds=(), groups=()
+    )
+    page = write_report(bare, tmp_path)
+    assert "There are no predictions to show." in read(page).text
+    assert figures(page) == {}
+    assert list((tmp_path / "figures").iterdir()) == []
+
+
+def test_what_cannot_be_drawn_is_dropped(tmp_path):
+    wild = predictions()
+    wild.before[3, 30:, :] = np.inf
+    lost = missing(25.0)
+    lost.wrench[5] = np.inf
+    lost.std[7] = np.nan
+    page = write_report(diagnosis(predictions=wild, missing_before=lost), tmp_path)
+    errors = _curves.errors_by_horizon(wild)
+    assert all(np.isfinite(group.errors["before"]).all() for group in errors)
+    assert "Infinity" not in json.dumps(figures(page))
+
+
+def test_names_from_files_stay_text(tmp_path):
+    # In the pictures a dollar sign would begin a formula, and the font lacks most scripts.
+    target = f"{EVIL} $x_{{$ 漢"
+    evil = dataclasses.replace(PORT, target=target, since_log=EVIL, alternatives=())
+    page = write_report(
+        diagnosis(
+            vehicle=vehicle(EVIL),
+            findings=(evil,),
+            rounds=((Weighed(f"thruster_gain:{target}", 9.0, 9.0, {}, EVIL),),),
+            groups=((f"thruster_gain:{target}", "waves"),),
+            train=("a.csv", EVIL, "$b_{.csv"),
+            test=EVIL,
+            notes=(EVIL, "an odd ` backtick"),
+        ),
+        tmp_path,
+    )
+    content = page.read_text("utf-8")
+    assert EVIL not in content
+    assert "<script>alert" not in content
+    assert f"Diagnosis of {EVIL}" in read(page).text
+    assert read(page).scripts == ["application/json", "", ""]
+
+
+def test_a_number_that_json_lacks_is_refused_and_leaves_nothing(tmp_path):
+    lost = dataclasses.replace(PORT, log_evidence=float("nan"))
+    with pytest.raises(ValueError, match="JSON"):
+        write_report(diagnosis(findings=(lost,)), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("quick_pictures")
+def test_a_folder_that_cannot_be_made_is_an_input_error(tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(InputError, match="taken"):
+        write_report(nothing(), tmp_path / "taken")
+
+
+@pytest.mark.usefixtures("quick_pictures")
+def test_a_disk_that_fills_up_leaves_the_report_that_was_there(tmp_path, monkeypatch):
+    page = write_report(nothing(), tmp_path)
+    there = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    write = Path.write_bytes
+
+    def full(path, content):
+        if path.name.endswith("evidence.png"):
+            raise OSError(28, "No space left on device")
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match="no space left"):
+        write_report(diagnosis(), page.parent)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == there
+
+
+@pytest.mark.usefixtures("quick_pictures")
+def test_a_second_report_replaces_the_first_and_spares_other_files(tmp_path):
+    (tmp_path / "extended.toml").write_text("schema = 1")
+    write_report(diagnosis(), tmp_path)
+    page = write_report(nothing(), tmp_path)
+    assert "Nothing is wrong" in read(page).text
+    assert (tmp_path / "extended.toml").read_text() == "schema = 1"
+    assert not [path for path in tmp_path.rglob(".*")]
+
+
+SENTENCES = {
+    "waves": (
+        None,
+        {"north": 3.0, "east": 4.0, "period": 6.0, "phase": 0.1},
+        "up to 5 N along 53°/233°",
+    ),
+    "tether_drag": (None, {"coefficient": 12.0}, "drags with 12 N at 1 m/s"),
+    "added_mass": (
+        "surge",
+        {"value": 10.0},
+        "10.0 ± 0.2 kg more added mass in surge than the file says (file 27.5, now 37.5)",
+    ),
+    "payload": (
+        None,
+        {"mass": 3.0, "volume": 0.001, "x": 0.5, "y": -0.2, "z": 0.1},
+        "0.5 ± 0.2 m ahead of, 0.2 ± 0.2 m to port of and",
+    ),
+    "buoyancy": (
+        None,
+        {"force": -9.81},
+        "9.8 ± 0.2 N less buoyancy than the file says: in water it is 1 kg heavier",
+    ),
+    "trim": (None, {"x": -0.5, "z": 0.3}, "0.5 ± 0.2 m further aft and 0.3 ± 0.2 m lower"),
+    "linear_damping": ("yaw", {"value": -2.0}, "2.0 ± 0.2 N m s less linear damping in yaw"),
+    "quadratic_damping": ("sway", {"value": 2.0}, "more quadratic damping in sway"),
+    "coupled_damping": ("sway<-yaw", {"value": 2.0}, "motion in yaw causes a force in sway"),
+    "hull_lift": (None, {"Y_uv": 20.0, "N_uv": 3.0}, "Y_uv 20.0 ± 0.2 N s²/m²"),
+    "fluid_memory": (
+        "heave",
+        {"gain": 9.0, "time_constant": 2.0},
+        "comes late: 9.0 ± 0.2 N s/m, building up over 2.0 ± 0.2 s",
+    ),
+    "constant_wrench": (
+        "yaw",
+        {"value": -4.0},
+        "constant moment of 4.0 ± 0.2 N m in yaw turns the bow to port",
+    ),
+    "thruster_gain": (
+        "all",
+        {"factor": 0.02},
+        "0.0 ± 0.2 times the thrust of the file: commands are practically not acted on",
+    ),
+    "thrust_curve": (
+        None,
+        {"quadratic": 1.0},
+        "at half command there is 50 % of the file's thrust",
+    ),
+    "thruster_lag": (None, {"time_constant": 0.4}, "a lag of 0.4 ± 0.2 s"),
+    "input_delay": (None, {"delay": 0.3}, "0.3 ± 0.2 s late"),
+    "deadband": (None, {"width": 0.2}, "smaller than 20 ± 20 % of full command do nothing"),
+    "saturation": (None, {"limit": 0.7}, "beyond 70 ± 20 % of full command"),
+    "inflow_loss": (None, {"per_speed": 0.2}, "lose 20 ± 20 % of their thrust per m/s"),
+    "velocity_lever_arm": (
+        None,
+        {"x": 1.0},
+        "that of a point 1.0 ± 0.2 m ahead of the body origin",
+    ),
+    "velocity_scale": (None, {"factor": 1.2}, "1.2 ± 0.2 times the true one: 20 % too large"),
+    "velocity_misalignment": (
+        None,
+        {"yaw": -0.5236},
+        "turned by 30 ± 11° to port: the velocity sensor sits turned by as much to starboard",
+    ),
+    "velocity_in_earth_axes": (
+        None,
+        {"fraction": 1.0},
+        "in earth axes (north, east, down) instead of body axes",
+    ),
+    "gyro_bias": (None, {"r": 0.5236}, "plus a constant (r 30 ± 11 °/s)"),
+    "steady_current": (None, {"north": 0.0, "east": -1.0}, "1 m/s towards 270°"),
+    "unknown": ("roll", {}, "moment in roll acts on the vehicle that no known cause explains"),
+}
+
+
+def found(name: str, target: str | None, values: dict[str, float]) -> Finding:
+    units = {effect.name: effect.units for effect in CATALOGUE}.get(name, {})
+    parameters = {key: Parameter(value, 0.2, units[key]) for key, value in values.items()}
+    return Finding(name, target, None, None, parameters, 10.0)
+
+
+@pytest.mark.parametrize("name", SENTENCES)
+def test_each_effect_has_its_sentence(name):
+    target, values, expected = SENTENCES[name]
+    said = _causes.what(found(name, target, values), vehicle())
+    assert expected.lower() in said.lower()
+    assert said[0].isupper() and said.endswith(".")
+
+
+def test_the_whole_catalogue_is_told():
+    assert {effect.name for effect in CATALOGUE} | {"unknown"} == set(SENTENCES)
+    for effect in CATALOGUE:
+        assert _words.advice(found(effect.name, None, {}), ()) != ""
+
+
+def test_an_effect_of_the_users_own_is_told_by_its_name():
+    own = Finding("sail_force", None, None, None, {"area": Parameter(2.0, 0.2, "m²")}, 3.0)
+    assert _causes.what(own, vehicle()) == "Sail force (area 2.0 ± 0.2 m²)."
+    assert _words.advice(own, ()) == ""
+
+
+def test_numbers_keep_the_digits_that_their_error_leaves():
+    assert _numbers.plus_minus(0.71044, 0.0041) == "0.710 ± 0.004"
+    assert _numbers.plus_minus(-1234.5, 15.0, "N") == "−1234 ± 15 N"
+    assert _numbers.plus_minus(2.0, float("nan"), "N") == "2 N"
+    assert _numbers.number(-0.00001234) == "−1.23·10^−5"
+    assert _numbers.number(float("inf")) == "∞"
+
+
+def test_errors_go_the_short_way_round_and_meet_a_hand_made_rms():
+    one = predictions()
+    one.measured[..., 5], one.before[..., 5] = np.pi - 0.05, -np.pi + 0.05
+    attitude = next(g for g in _curves.errors_by_horizon(one) if g.title == "Attitude")
+    assert np.allclose(attitude.errors["before"], np.rad2deg(0.1))
+    position = _curves.errors_by_horizon(one)[0]
+    last = one.before[:, -1, :2] - one.measured[:, -1, :2]
+    assert np.isclose(position.errors["before"][-1], np.sqrt(np.mean(last**2)))
+    assert position.horizon[0] == 0.0 and np.isclose(position.horizon[-1], 5.0)
+
+
+def test_courses_have_no_jumps_in_heading():
+    one = predictions()
+    psi = CHANNELS.index("psi")
+    for start in range(len(one.times)):
+        c = _curves.course(one, start)
+        for curve in c.curves.values():
+            assert np.abs(np.diff(curve[:, psi])).max() < 20.0  # [°]
+        assert np.abs((c.curves["measured"] - c.curves["before"])[:11, psi]).max() < 5.0
+
+
+def test_typical_starts_lie_around_the_median_error():
+    one = predictions()
+    one.before[7] += 100.0
+    starts = _curves.typical_starts(one)
+    assert len(starts) == 3 and 7 not in starts and list(starts) == sorted(starts)
