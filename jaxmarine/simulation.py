@@ -5,6 +5,7 @@ input as its argument: an input looked up by time inside the vector field would 
 of a step the next sample.
 """
 
+import dataclasses
 from typing import ClassVar
 
 import diffrax
@@ -39,7 +40,13 @@ class RungeKutta4(diffrax.AbstractERK):
         return 4
 
 
-_TERM = diffrax.ODETerm(lambda t, state, args: args[0].rates(state, args[1]))
+def _rates(t, state: State, args: tuple[Plant, Input]) -> State:
+    plant, drive = args
+    # What is commanded is held; waves go on within the hold.
+    return plant.rates(state, dataclasses.replace(drive, t=t))
+
+
+_TERM = diffrax.ODETerm(_rates)
 
 
 def hold(plant: Plant, state: State, drive: Input, dt) -> State:
@@ -75,7 +82,7 @@ def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np
         if placed.since is None:
             continue
         if placed.since_log in (None, log.name):
-            out[:, i] = log.t >= placed.since
+            out[:, i] = log.t >= placed.since - 1e-9  # times such as 3 * 0.1 are rounded
         elif log.name in earlier:
             out[:, i] = 0.0
     return out
@@ -96,7 +103,7 @@ def substeps(vehicle: Vehicle, dt: float, speed: float = 1.0) -> int:
     """Into how many steps a hold of `dt` [s] must be cut for the explicit method.
 
     From the largest eigenvalue of M^-1 (D_l + 2 D_q speed), `speed` in m/s and rad/s, and the
-    oscillation of the restoring moments.
+    oscillation of the restoring moments, and from the lag of fluid memory.
     """
     plant = vehicle.plant()
     state = initial_state(vehicle, velocity=speed * vehicle.free)
@@ -110,9 +117,11 @@ def substeps(vehicle: Vehicle, dt: float, speed: float = 1.0) -> int:
     by_turn, by_nu = jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
     system = np.zeros((9, 9))
     system[:3, 6:] = np.diag(vehicle.free[3:])
-    system[3:, :3] = by_turn * vehicle.free[3:]
+    system[3:, :3] = np.asarray(by_turn) * vehicle.free[3:]
     system[3:, 3:] = by_nu
     fastest = np.abs(np.linalg.eigvals(system)).max()
+    if plant.has_memory:
+        fastest = max(fastest, float(jnp.max(1.0 / plant.memory_lag())))
     return max(1, int(np.ceil(fastest * dt / _STABLE)))
 
 
@@ -137,10 +146,10 @@ def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wren
         shown = plant.readings(state, plant.acceleration(state, at))
         if solver is None:
 
-            def part(state, _):
-                return hold(plant, state, over, dt / split), None
+            def part(state, t):
+                return hold(plant, state, dataclasses.replace(over, t=t), dt / split), None
 
-            after, _ = jax.lax.scan(part, state, None, length=split)
+            after, _ = jax.lax.scan(part, state, over.t + dt * jnp.arange(split) / split)
         else:
             after = diffrax.diffeqsolve(
                 _TERM,

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from ._errors import InputError
 from ._types import DOFS, Matrix6, Quaternion, Vector3, Velocity, Wrench
 from .effects import (
+    CATALOGUE,
     AbstractEffect,
     DriveEffect,
     LoadEffect,
@@ -40,6 +41,9 @@ from .physics import (
     rotation,
     to_euler,
 )
+
+
+_ORDER = {effect: place for place, effect in enumerate(CATALOGUE)}
 
 
 class State(eqx.Module):
@@ -173,7 +177,8 @@ class Vehicle(eqx.Module):
                 blend(type(e).neutral(self), e, gate) if p.since is not None else e
                 for e, p, gate in zip(effects, self.placed, gates, strict=True)
             ]
-        effects = [*effects, *extra]
+        # In the catalogue's order, whatever the order in which they were found; others come last.
+        effects = sorted([*effects, *extra], key=lambda e: _ORDER.get(type(e), len(_ORDER)))
 
         load = Load(
             rigid=self.body.matrix,

@@ -10,9 +10,12 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import LearnedWrench, signals_known
+from .networks import LearnedWrench, MLPDamping, signals_known
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
+
+
+_LEARNED = (LearnedWrench.name, MLPDamping.name)
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -40,8 +43,14 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
             if not signals_known(name, file.thruster_names):
                 raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
         return
+    if entry.effect == MLPDamping.name:
+        if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
+            raise ValueError("is a learned damping and needs `arrays`, and free axes as `inputs`.")
+        return
     if entry.arrays is not None or entry.inputs:
-        raise ValueError("has `arrays` or `inputs`, which only a learned term (`unknown`) has.")
+        raise ValueError(
+            f"has `arrays` or `inputs`, which only a learned term (`{'`, `'.join(_LEARNED)}`) has."
+        )
 
 
 def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
@@ -89,7 +98,7 @@ def load_vehicle(
     vehicle = _vehicle(file)
     placed = []
     for number, entry in enumerate(file.effect, start=1):
-        if entry.effect == LearnedWrench.name:
+        if entry.effect in _LEARNED:
             effect = _load_learned(Path(path), entry, file)
         else:
             try:
@@ -113,11 +122,15 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedWrench:
+def _load_learned(
+    path: Path, entry: EffectEntry, file: VehicleFile
+) -> LearnedWrench | MLPDamping:
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
             arrays = {name: jnp.asarray(stored[name], float) for name in stored.files}
+        if entry.effect == MLPDamping.name:
+            return MLPDamping.restored(arrays, entry.inputs)
         return LearnedWrench(
             **arrays, target=str(entry.target), inputs=entry.inputs, thrusters=file.thruster_names
         )
@@ -138,8 +151,9 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     for number, placed in enumerate(vehicle.placed):
         entry: dict = {"effect": placed.effect.name, "target": placed.target}
         entry |= {"since": placed.since, "since_log": placed.since_log}
-        if isinstance(placed.effect, LearnedWrench):
-            beside = path.with_name(f"{path.stem}_{placed.target}_{number}.npz")
+        if isinstance(placed.effect, LearnedWrench | MLPDamping):
+            kind = placed.target or placed.effect.name
+            beside = path.with_name(f"{path.stem}_{kind}_{number}.npz")
             with written_whole(beside) as whole, open(whole, "wb") as stream:
                 np.savez(stream, **placed.effect.arrays())
             entry |= {"arrays": beside.name, "inputs": placed.effect.inputs}

@@ -4,13 +4,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..effects import AddedMass, LinearDamping, QuadraticDamping
-from ..fitting import Cut, Problem, Refined, Task, linearise, refine_windows
+from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
+from ..fitting import Cut, Problem, Refined, Task, linearise, predict, refine_windows, start_precision
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._saturated import Layout, SaturatedPlant
@@ -20,6 +19,7 @@ from ._score import Reduced
 SLOTS = 44
 # Members with a beginning of their own that the compiled screening has columns for.
 BEGINNINGS = 6
+SEGMENTS = 4
 # How far coefficients of a vehicle file are commonly wrong, relative to their value.
 FILE_ERROR = 0.1
 
@@ -46,12 +46,14 @@ class Model:
 
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
     - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
+    - `frozen`: whether the file's coefficients are held at their values.
     """
 
     members: tuple[Member, ...]
     z: Float[np.ndarray, " z"]
     delta: Array
     cost: float
+    frozen: bool = False
     refined: Refined | None = None
 
 
@@ -61,12 +63,18 @@ class Workbench:
     It holds no state of the search: a `Model` goes in, a `Model` comes out.
     """
 
-    def __init__(self, vehicle: Vehicle, families, layout: Layout, data: Cut, gates: np.ndarray):
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        families: tuple[AbstractEffect, ...],
+        layout: Layout,
+        data: Cut,
+        noise: Float[np.ndarray, "18"],
+    ):
         self.vehicle = vehicle
         self.layout = layout
         self.data = data
-        # Effects of the vehicle itself that begin within the logs make segments of their own: [logs][times].
-        self.own_gates = gates
+        self.noise = noise
         self.families = families
         self.base = _base_coefficients(vehicle, layout)
         self.count = data.windows.count
@@ -94,21 +102,20 @@ class Workbench:
         found = {m.since for m in members if m.since is not None}
         return sorted(found, key=lambda b: (b.log, b.time))
 
-    def _segments(self, members: Sequence[Member]) -> tuple[list[np.ndarray], int]:
-        """Per log and sample the number of beginnings passed; and how many segments are compiled for."""
-        begun = self.beginnings(members)
-        per_log = []
-        for g, log in enumerate(self.data.logs):
-            passed = np.zeros(len(log.t), int)
-            for b in begun:
-                passed += (g > b.log) | ((g == b.log) & (log.t >= b.time - 1e-9))
-            per_log.append(passed)
-        return per_log, 1 if not begun else 4
+    def passed(self, members: Sequence[Member], log: Log, position: int) -> np.ndarray:
+        """Per sample of a log the number of beginnings passed; `position`: its place in the order of logs."""
+        out = np.zeros(len(log.t), int)
+        for b in self.beginnings(members):
+            out += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
+        return out
+
+    def segments(self, members: Sequence[Member]) -> int:
+        """How many segments the programs are compiled for: one, or room for several beginnings."""
+        return SEGMENTS if self.beginnings(members) else 1
 
     def spread(self, members: Sequence[Member], width: int = SLOTS) -> np.ndarray:
         begun = self.beginnings(members)
-        segments = 1 if not begun else 4
-        out = np.zeros((segments, self.layout.size, width))
+        out = np.zeros((self.segments(members), self.layout.size, width))
         for j, coefficient in enumerate(self.base):
             out[:, coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
@@ -117,11 +124,14 @@ class Workbench:
         return out
 
     def problem(self, members: Sequence[Member]) -> Problem:
-        per_log, segments = self._segments(members)
+        segments = self.segments(members)
         records = self.data.records
         if segments > 1:
             steps = records.t.shape[1]
-            rows = [np.repeat(s, self.data.split) for s in per_log]
+            rows = [
+                np.repeat(self.passed(members, log, i), self.data.split)
+                for i, log in enumerate(self.data.logs)
+            ]
             rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
             records = dataclasses.replace(records, segment=jnp.asarray(np.array(rows)))
         gates = np.ones((segments, len(self.vehicle.placed)))
@@ -129,20 +139,27 @@ class Workbench:
             SaturatedPlant(self.vehicle, self.families, jnp.asarray(gates)),
             records,
             self.data.windows,
+            jnp.asarray(start_precision(self.vehicle.free)),
             self.accelerations,
         )
 
-    def task(self, members: Sequence[Member], free_base: bool = True) -> Task:
-        segments = 1 if not self.beginnings(members) else 4
+    def _precision(self, model: Model) -> np.ndarray:
+        """Inverse variance of the prior on z."""
+        taken = {self.layout.suspects[m.suspect].label for m in model.members if m.since is None}
+        out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
+        for j, c in enumerate(self.base):
+            held = model.frozen or c.label in taken
+            out[j] = (1e12 if held else 1.0) / c.prior**2
+        return out
+
+    def task(self, model: Model) -> Task:
+        segments = self.segments(model.members)
         precision = np.ones(SLOTS)
-        used = self.width(members)
-        precision[: len(self.base)] = [1 / c.prior**2 if free_base else 1e12 / c.prior**2 for c in self.base]
-        # A trace of curvature keeps parameters in check that the data do not determine.
-        precision[len(self.base) : used] = 1e-8
+        precision[: len(model.z)] = self._precision(model)
         return Task(
-            self.problem(members),
+            self.problem(model.members),
             jnp.tile(jnp.asarray(self.layout.neutral), (segments, 1)),
-            jnp.asarray(self.spread(members)),
+            jnp.asarray(self.spread(model.members)),
             jnp.asarray(precision),
             jnp.zeros(SLOTS),
         )
@@ -152,21 +169,38 @@ class Workbench:
     def start(self) -> Model:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.count, 12)), np.inf)
 
-    def refine(self, model: Model, max_steps: int = 25, free_base: bool = True) -> Model:
+    def refine(self, model: Model, max_steps: int = 25) -> Model:
         """Gauss-Newton on all numbers of the model."""
         z = np.zeros(SLOTS)
         z[: len(model.z)] = model.z
         out = refine_windows(
-            self.task(model.members, free_base), jnp.asarray(z), model.delta, max_steps
+            self.task(model), jnp.asarray(z), model.delta, max_steps
         )
         cost = float(out.cost)
-        return Model(model.members, np.asarray(out.z)[: len(model.z)], out.delta, cost, out)
+        z = np.asarray(out.z)[: len(model.z)]
+        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, refined=out)
+
+    def frozen(self, model: Model) -> Model:
+        """The model with the file's coefficients held at their values."""
+        return dataclasses.replace(model, frozen=True)
+
+    def theta(self, model: Model) -> np.ndarray:
+        """The saturated model's parameters in each segment."""
+        spread = self.spread(model.members)
+        return self.layout.neutral + np.einsum("spz,z->sp", spread[:, :, : len(model.z)], model.z)
+
+    def residual_rms(self, model: Model) -> np.ndarray:
+        """Root mean square of the residuals of each channel in units of its noise, NaN where not measured."""
+        problem = self.problem(model.members)
+        residual = np.asarray(_residuals(problem, jnp.asarray(self.theta(model)), model.delta))
+        seen = np.asarray(problem.windows.weight) > 0
+        with np.errstate(invalid="ignore"):
+            return np.sqrt((residual**2 * seen).sum((0, 1)) / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan))
 
     def promise(self, model: Model) -> float:
         """Cost that the next Gauss-Newton step promises."""
-        z = np.zeros(SLOTS)
-        z[: len(model.z)] = model.z
-        return float(_promised(self.task(model.members), jnp.asarray(z), model.delta))
+        out = self.refine(model, max_steps=1).refined
+        return np.inf if out is None else float(out.cost - out.promised)
 
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
@@ -189,7 +223,7 @@ class Workbench:
 
     def _screening(self, model: Model, begun: Sequence[Member]):
         spread = self.spread(model.members)
-        theta = self.layout.neutral + np.einsum("spz,z->sp", spread[:, :, : len(model.z)], model.z)
+        theta = self.theta(model)
         segments, size = theta.shape
         out = np.zeros((segments, size, size + BEGINNINGS))
         out[:, :, :size] = np.eye(size)
@@ -215,9 +249,7 @@ class Workbench:
                 width = where.stop - where.start
                 columns[at : at + width, where] = np.eye(width)
                 at += width
-        precision = np.full(len(model.z), 1e-8)
-        precision[: len(self.base)] = [1 / c.prior**2 for c in self.base]
-        return columns, precision, model.z
+        return columns, self._precision(model), model.z
 
     def own(self, suspect: int) -> np.ndarray:
         """A suspect's columns in the screening's order."""
@@ -226,19 +258,13 @@ class Workbench:
 
 
 @eqx.filter_jit
-def _linearise(problem, theta, spread, delta):
-    return linearise(problem, theta, spread, delta)
+def _residuals(problem, theta, delta):
+    return predict(problem, theta, delta)[1]
 
 
 @eqx.filter_jit
-def _promised(task: Task, z, delta):
-    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta)
-    chi2, g, h = stats.reduced()
-    off = z - task.mean
-    g = g.sum(0) + task.precision * off
-    h = h.sum(0) + jnp.diag(task.precision)
-    least = chi2.sum() + (task.precision * off * off).sum()
-    return 0.5 * (least - g @ jax.scipy.linalg.solve(h, g, assume_a="pos"))
+def _linearise(problem, theta, spread, delta):
+    return linearise(problem, theta, spread, delta)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -246,6 +272,7 @@ class Coefficient:
     """A coefficient that the file has: where it lies, its value there, and the width of its prior."""
 
     label: str
+    axis: int
     index: int
     value: float
     prior: float
@@ -273,7 +300,7 @@ def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, .
                 place = int(np.flatnonzero(layout.columns[i][:, 0])[0])
                 axis = ("surge", "sway", "heave", "roll", "pitch", "yaw").index(str(suspect.target))
                 size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
-                out.append(Coefficient(suspect.label, place, float(value[axis]), size, kind.units["value"]))
+                out.append(Coefficient(suspect.label, axis, place, float(value[axis]), size, kind.units["value"]))
     return tuple(out)
 
 

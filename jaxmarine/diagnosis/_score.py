@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import scipy.stats
 from jaxtyping import Float
 
 
@@ -15,28 +14,6 @@ class Reduced:
     g: Float[np.ndarray, "windows columns"]
     h: Float[np.ndarray, "windows columns columns"]
 
-    def map(self, columns: Float[np.ndarray, "columns own"]) -> "Reduced":
-        """The statistics of linear combinations of the columns."""
-        return Reduced(
-            self.chi2, self.g @ columns, np.einsum("wij,ia,jb->wab", self.h, columns, columns, optimize=True)
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class Score:
-    """What a suspect would save, to second order, everything that is in refitted beside it.
-
-    - `saved`: chi-square over all windows; `value`: the step of its parameters.
-    - `p_value`: of the windows' own scatter (Hotelling's T², so disturbances and coloured noise count).
-    - `left_out`: chi-square saved on left-out blocks of windows, and `t` that in standard errors.
-    """
-
-    saved: float
-    value: np.ndarray
-    p_value: float
-    left_out: float
-    t: float
-
 
 def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:
     """h^-1 g for a positive semidefinite h whose columns may be in very different units."""
@@ -46,77 +23,45 @@ def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:
     return (np.linalg.solve(scaled + ridge, (g.T / scale).T).T / scale).T
 
 
-def blocks(windows: int, count: int = 6) -> np.ndarray:
-    """The block of contiguous windows that each window belongs to."""
-    return np.minimum(np.arange(windows) * count // max(windows, 1), count - 1)
+def blocks(windows: int, count: int = 6, size: int = 3) -> np.ndarray:
+    """The fold of each window: stretches of `size` windows dealt out to the folds in turn.
+
+    Each fold then sees the whole log, so that a slow signal (depth, heading) is not judged by
+    extrapolation; the stretches' neighbours are left out of the fit by the caller.
+    """
+    size = max(1, min(size, windows // (2 * count)))
+    return np.arange(windows) // size % min(count, windows)
 
 
 def left_out_savings(
-    stats: Reduced, known: np.ndarray, precision: np.ndarray, offset: np.ndarray, own: np.ndarray, gate: np.ndarray
+    stats: Reduced, precision: np.ndarray, offset: np.ndarray, own: np.ndarray
 ) -> Float[np.ndarray, " windows"]:
-    """Chi-square that the suspect saves on each window when fitted on the others.
+    """Chi-square that the last columns save on each window when fitted on the others.
 
-    - `known`, `own`: columns (matrices into `stats`) that are in, and the suspect's; `precision`, `offset`:
-      prior of the known ones (inverse variance, and value minus mean); `gate` [windows]: where the suspect acts.
+    - `stats`: columns of what is known, then of what is judged; `precision`, `offset`: prior of the known
+      ones (inverse variance, and value minus mean); `own`: prior precision of the judged ones.
 
-    Blocks are contiguous and their neighbours on both sides are left out of the fit, because windows
-    that touch share disturbances.
+    Neighbours on both sides of a left-out stretch are kept out of the fit too, because windows that touch
+    share disturbances.
     """
-    both = np.concatenate([known, own], axis=1)
-    n = known.shape[1]
-    mapped = stats.map(both)
-    g, h = mapped.g.copy(), mapped.h.copy()
-    g[:, n:] *= gate[:, None]
-    h[:, n:, :] *= gate[:, None, None]
-    h[:, :, n:] *= gate[:, None, None]
-    prior = np.diag(np.concatenate([precision, np.zeros(own.shape[1])]))
-    pull = np.concatenate([precision * offset, np.zeros(own.shape[1])])
-    block = blocks(len(g))
-    out = np.zeros(len(g))
-    for b in np.unique(block):
-        left = block == b
+    n = len(precision)
+    prior = np.diag(np.concatenate([precision, own]))
+    pull = np.concatenate([precision * offset, np.zeros(len(own))])
+    fold = blocks(len(stats.g))
+    g_all, h_all = stats.g.sum(0), stats.h.sum(0)
+    out = np.zeros(len(stats.g))
+    for b in np.unique(fold):
+        left = fold == b
         near = np.convolve(left, [1, 1, 1], "same") > 0
-        keep = ~near
-        h_fit = h[keep].sum(0) + prior
-        g_fit = g[keep].sum(0) + pull
+        h_fit = h_all - stats.h[near].sum(0) + prior
+        g_fit = g_all - stats.g[near].sum(0) + pull
         full = -solve(h_fit, g_fit)
         without = np.zeros(len(full))
         without[:n] = -solve(h_fit[:n, :n], g_fit[:n])
         for step, sign in ((full, -1.0), (without, 1.0)):
-            out[left] += sign * (2 * g[left] @ step + np.einsum("wab,a,b->w", h[left], step, step))
+            change = 2 * stats.g[left] @ step + np.einsum("wab,a,b->w", stats.h[left], step, step, optimize=True)
+            out[left] += sign * change
     return out
-
-
-def score(
-    stats: Reduced,
-    known: np.ndarray,
-    precision: np.ndarray,
-    offset: np.ndarray,
-    own: np.ndarray,
-    gate: np.ndarray | None = None,
-) -> Score:
-    """Scores one suspect; arguments as in `left_out_savings`."""
-    gate = np.ones(len(stats.g)) if gate is None else gate
-    h_kk = known.T @ stats.h.sum(0) @ known + np.diag(precision)
-    g_k = known.T @ stats.g.sum(0) + precision * offset
-    gated_h = np.einsum("w,wij->ij", gate, stats.h)
-    h_ko = known.T @ gated_h @ own
-    x = solve(h_kk, h_ko)
-    h = own.T @ gated_h @ own - x.T @ h_ko
-    per_window = gate[:, None] * (stats.g @ own) - (stats.g @ known) @ x
-    g = own.T @ (gate @ stats.g) - x.T @ g_k
-    value = -solve(h, g)
-    saved = float(-g @ value)
-
-    windows, k = per_window.shape
-    spread = per_window - per_window.mean(0)
-    scatter = spread.T @ spread
-    t2 = float(g @ solve(scatter, g)) * (windows - 1) / windows
-    dof = max(int(gate.sum()) - k, 1)
-    p_value = float(scipy.stats.f.sf(t2 * dof / (k * max(windows - 1, 1)), k, dof))
-    out = left_out_savings(stats, known, precision, offset, own, gate)
-    t = float(out.sum() / max(np.sqrt(len(out)) * out.std(ddof=1), 1e-12))
-    return Score(saved, value, p_value, float(out.sum()), t)
 
 
 def savings(

@@ -5,9 +5,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..effects import Waves
 from ._model import Beginning, Member, Model, Workbench
-from ._result import Weighed
-from ._score import Reduced, savings
+from ._knots import knots, wave_start
+from ._score import Reduced, savings, solve
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 5
@@ -19,6 +20,8 @@ MOST = 6
 MARGIN = 8.0
 # A finding must save this many standard errors (over windows) of chi-square.
 SIGMAS = 3.0
+# Chi-square that some suspect must save before the costly starts are tried.
+PROBED = 20.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,12 +40,21 @@ class Trial:
 
 
 @dataclasses.dataclass(frozen=True)
+class Round:
+    """One round: the refitted suspects, the best first, and whether the best was accepted."""
+
+    trials: tuple[Trial, ...]
+    accepted: bool
+    phi: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Found:
     """Where the search ended."""
 
     model: Model
     stats: Reduced
-    rounds: tuple[tuple[Weighed, ...], ...]
+    rounds: tuple[Round, ...]
 
 
 def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
@@ -66,14 +78,13 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     return max(1.0, float(np.median(ratios)))
 
 
-def shortlist(bench: Workbench, model: Model, stats: Reduced, beginnings: bool) -> list[tuple[Member, float]]:
+def shortlist(bench: Workbench, model: Model, stats: Reduced) -> list[tuple[Member, float]]:
     """The suspects worth refitting, with what the linearisation says they would save."""
     known, precision, offset = bench.known(model)
     active = {m.suspect for m in model.members}
     order = [i for i in range(len(bench.layout.suspects)) if i not in active]
     owns = tuple(bench.own(i) for i in order)
-    earliest = EARLIEST if beginnings else bench.count
-    table = savings(stats, known, precision, offset, owns, earliest)
+    table = savings(stats, known, precision, offset, owns, EARLIEST)
     out = []
     for i, row in zip(order, table, strict=True):
         out.append((Member(i), float(row[0])))
@@ -89,10 +100,15 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     active = {m.suspect for m in model.members}
     out = []
     for i, suspect in enumerate(bench.layout.suspects):
-        if i in active or not suspect.starts:
+        if i in active or not (suspect.starts or suspect.effect is Waves):
             continue
         neutral = bench.layout.neutral_of(i)
         names = list(suspect.slots)
+        if suspect.effect is Waves:
+            promised, start = wave_start(knots(bench, model))
+            if promised > 0.2 * best:
+                out.append((Member(i), np.array([start[n] for n in names]) - neutral))
+            continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
         promised = [bench.promise(bench.with_member(model, Member(i), value)) for value in values]
         if 2 * (model.cost - min(promised)) > 0.2 * best:
@@ -113,52 +129,74 @@ def penalty(bench: Workbench, member: Member) -> float:
     return own * np.log(bench.samples)
 
 
+def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -> np.ndarray:
+    """Chi-square lost on each window when some of z go back to zero and the rest is refitted (linearised)."""
+    known, precision, z = bench.known(model)
+    g, h = stats.g @ known, np.einsum("wij,ia,jb->wab", stats.h, known, known, optimize=True)
+    held = np.arange(where.start, where.stop)
+    rest = np.setdiff1d(np.arange(len(z)), held)
+    total = h.sum(0) + np.diag(precision)
+    step = np.zeros(len(z))
+    step[held] = -z[held]
+    step[rest] = -solve(
+        total[np.ix_(rest, rest)], (g.sum(0) + precision * z)[rest] + total[np.ix_(rest, held)] @ step[held]
+    )
+    return 2 * g @ step + np.einsum("wab,a,b->w", h, step, step, optimize=True)
+
+
+def needed(bench: Workbench, member: Member, phi: float) -> float:
+    """Chi-square that a finding must save: its parameters, how many were tried, and a margin."""
+    own = bench.layout.columns[member.suspect].shape[1]
+    tried = len(bench.layout.suspects) * (bench.count if member.since else 1)
+    return phi * (2 * own + 2 * np.log(tried) + 2 * MARGIN)
+
+
+def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:
+    """Whether a trial saves enough, on windows in general and not by chance on a few."""
+    coefficient = bench.layout.suspects[trial.member.suspect].label in {c.label for c in bench.base}
+    if coefficient:
+        # A coefficient of the file was free already: what counts is what putting it back would cost.
+        lost = putting_back(bench, trial.model, after, bench.slices(trial.model.members)[-1])
+    else:
+        lost = before.chi2 - after.chi2
+    t = lost.sum() / max(np.sqrt(len(lost)) * lost.std(ddof=1), 1e-9)
+    return trial.saved > needed(bench, trial.member, phi) and t > SIGMAS
+
+
 def search(
     bench: Workbench,
+    model: Model,
     progress: Callable[[str], None] = lambda text: None,
-    beginnings: bool = True,
 ) -> Found:
-    """Adds suspects one after another until nothing is worth adding."""
-    progress("fitting the vehicle file")
-    model = bench.refine(bench.start())
+    """Adds suspects to a refined model one after another until nothing is worth adding."""
     stats = bench.screen(model)
-    rounds = []
+    rounds: list[Round] = []
     while len(model.members) < MOST:
-        progress(f"scoring {len(bench.layout.suspects)} suspects (round {len(rounds) + 1})")
-        ranked = shortlist(bench, model, stats, beginnings)
+        progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
+        ranked = shortlist(bench, model, stats)
         trials = [_trial(bench, model, member) for member, _ in ranked[:SHORTLIST]]
-        best = max([t.saved for t in trials], default=0.0)
-        best = max(best, 1.0)
-        if best > 20.0:
-            for member, value in probes(bench, model, best):
-                trials.append(_trial(bench, model, member, value))
+        best = max([t.saved for t in trials if np.isfinite(t.saved)], default=0.0)
+        if best > PROBED:
+            progress(f"round {len(rounds) + 1}: refitting the best suspects")
+            trials += [_trial(bench, model, member, value) for member, value in probes(bench, model, best)]
         trials = [t for t in trials if np.isfinite(t.saved)]
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
+        if not trials:
+            break
         winner = trials[0]
         after = bench.screen(winner.model)
         phi = dispersion(bench, winner.model, after)
-        tried = len(ranked) * (bench.count if winner.member.since else 1)
-        own = bench.layout.columns[winner.member.suspect].shape[1]
-        needed = phi * (2 * own + 2 * np.log(tried) + 2 * MARGIN)
-        difference = stats.chi2 - after.chi2
-        t = difference.sum() / max(np.sqrt(len(difference)) * difference.std(ddof=1), 1e-9)
-        accepted = winner.saved > needed and t > SIGMAS
-        rounds.append(
-            tuple(
-                Weighed(
-                    label=bench.layout.suspects[t_.member.suspect].label,
-                    log_evidence=float((t_.saved / phi - penalty(bench, t_.member)) / 2),
-                    saved_chi2=float(t_.saved),
-                    parameters=t_.parameters(bench),
-                    remark=(
-                        (f"since {t_.member.since.time:g} s " if t_.member.since else "")
-                        + ("accepted" if accepted and t_ is winner else "")
-                    ).strip(),
-                )
-                for t_ in trials
-            )
-        )
+        accepted = significant(bench, winner, stats, after, phi)
+        rounds.append(Round(_once(trials), accepted, phi))
         if not accepted:
             break
         model, stats = winner.model, after
     return Found(model, stats, tuple(rounds))
+
+
+def _once(trials: list[Trial]) -> tuple[Trial, ...]:
+    """Each member once, at its best."""
+    best: dict[Member, Trial] = {}
+    for trial in trials:
+        best.setdefault(trial.member, trial)
+    return tuple(best.values())

@@ -22,6 +22,7 @@ import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..physics import Drive, apply, attitude_rate, compose, rotation, small_turn, thrust
@@ -29,9 +30,9 @@ from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._windows import ANGLES, Records, Windows
 
-# Standard deviation of the weak prior on a window's initial state [m, rad, m/s, rad/s]: it only
-# keeps the elimination regular where a component of the state was not measured.
-LOOSE = 1e3
+# Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
+# keeps the elimination regular where a component was not measured; the tight one holds locked axes.
+LOOSE, TIGHT = 1e3, 1e-6
 
 # Windows that are linearised together.
 BATCH = 10
@@ -44,13 +45,23 @@ class Problem(eqx.Module):
 
     - `plant_of(theta, segment)`: the plant of a segment from its parameter vector.
     - `theta`: reference parameters of each segment; `spread`: the affine map, theta + spread @ z.
+    - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
     - `accelerations`: whether any are measured.
     """
 
     plant_of: PlantOf
     records: Records
     windows: Windows
+    start_precision: Float[Array, "12"]
     accelerations: bool = eqx.field(static=True)
+
+
+def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
+    """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes."""
+    surge, sway, heave, roll, pitch, yaw = free
+    level = max(surge, sway)
+    moves = [level, level, max(heave, level * max(roll, pitch)), roll, pitch, yaw, *free]
+    return np.where(np.array(moves) > 0, LOOSE, TIGHT) ** -2.0
 
 
 class Statistics(eqx.Module):
@@ -150,8 +161,8 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     for field, slope in enumerate(jax.tree.leaves(slopes)):
         for segment in range(segments):
             d_mean, d_at = along(field, segment)
-            mean = mean + d_mean[..., None] * slope[segment]
-            at = at + d_at[..., None] * slope[segment]
+            mean = mean + d_mean[..., None] * slope[segment][None, None]
+            at = at + d_at[..., None] * slope[segment][None, None]
     return mean, at
 
 
@@ -242,7 +253,7 @@ def _exponential(f: Array) -> tuple[Array, Array]:
 
     The integration step keeps |f| below 0.8 (`simulation.substeps`), where the remainder is below 1e-4.
     """
-    eye = jnp.eye(f.shape[-1])
+    eye = jnp.broadcast_to(jnp.eye(f.shape[-1]), f.shape)
     phi = eye
     for order in range(6, 1, -1):
         phi = eye + f @ phi / order
@@ -261,15 +272,20 @@ def _chain(plant: Plant) -> _Chain:
     return _Chain(sensors, plant.memory_lag() if plant.has_memory else jnp.zeros(0))
 
 
-def linearise(problem: Problem, theta, spread, delta) -> Statistics:
+def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statistics:
     """Statistics of all windows at z = 0.
 
     - `theta` [segments, parameters], `spread` [segments, parameters, z], `delta` [windows, 12].
+    - `knots`: adds, behind z, a free wrench on the hull that is constant over each of so many equal parts
+      of a window: columns knot by knot, six axes each. Whatever acts on the hull is a sum of these.
 
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    count = spread.shape[-1]
+    given = spread.shape[-1]
+    count = given + 6 * knots
+    steps = problem.windows.step.shape[1]
+    part = jax.nn.one_hot(jnp.arange(steps) * knots // steps, knots)
     segments = jnp.arange(theta.shape[0])
     plants = jax.vmap(problem.plant_of)(theta, segments)
     chain = jax.vmap(_chain)(plants)
@@ -307,7 +323,12 @@ def linearise(problem: Problem, theta, spread, delta) -> Statistics:
         by_z = _contract(by_theta, spread, segment) + by_thrust @ d_thrust
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
-        return nu_dot, -inverse @ by_x, -inverse @ by_z
+        nu_z = -inverse @ by_z
+        if knots:
+            inverse = jnp.broadcast_to(inverse, (steps, 6, 6))
+            pushed = inverse[:, :, None, :] * part[:, None, :, None]
+            nu_z = jnp.concatenate([nu_z, pushed.reshape(steps, 6, 6 * knots)], axis=-1)
+        return nu_dot, -inverse @ by_x, nu_z
 
     def kinematics(x):
         """The rates of position and attitude."""
@@ -334,8 +355,7 @@ def linearise(problem: Problem, theta, spread, delta) -> Statistics:
         if problem.accelerations:
             nu_dot, nu_x, nu_z = tangents(x, track.instant, track.lagged, segment, d_thrust, d_lagged)
         else:
-            steps, n = x.shape
-            nu_dot, nu_x, nu_z = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, n)), jnp.zeros((steps, 6, count))
+            nu_dot, nu_x, nu_z = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, count))
 
         def one(x, nu_dot, segment):
             sensors = _pick(chain, segment).sensors
@@ -343,7 +363,8 @@ def linearise(problem: Problem, theta, spread, delta) -> Statistics:
             return shown(x, nu_dot, sensors, segment), slopes
 
         value, (by_x, by_nu_dot, by_sensors) = jax.vmap(one)(x, nu_dot, segment)
-        by_z = _contract(by_sensors, chain_slopes.sensors, segment) + by_nu_dot @ nu_z
+        by_z = by_nu_dot @ nu_z
+        by_z = by_z.at[:, :, :given].add(_contract(by_sensors, chain_slopes.sensors, segment))
         return value, by_x + by_nu_dot @ nu_x, by_z
 
     def one(now):
@@ -376,10 +397,10 @@ def linearise(problem: Problem, theta, spread, delta) -> Statistics:
         h = jacobian.T @ jacobian
         g = jacobian.T @ residual
         return Statistics(
-            chi2=residual @ residual + delta @ delta / LOOSE**2,
-            g_x=g[:12] + delta / LOOSE**2,
+            chi2=residual @ residual + problem.start_precision @ delta**2,
+            g_x=g[:12] + problem.start_precision * delta,
             g_z=g[12:],
-            h_xx=h[:12, :12] + jnp.eye(12) / LOOSE**2,
+            h_xx=h[:12, :12] + jnp.diag(problem.start_precision),
             h_xz=h[:12, 12:],
             h_zz=h[12:, 12:],
         )

@@ -83,7 +83,9 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
     def step(self, fn, y, args: Task, options, state: _State, tags):
         del options, tags
         cost, stats = fn(state.y_eval, args)
-        cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+        # Where a roll-out is finite its sensitivities may not be: no step could start from there.
+        usable = jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
+        cost = jnp.where(usable, cost, jnp.inf)
         better = (cost < state.cost) | state.first
         ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)
         eased = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.clip(ratio, 0.0, 1.0) - 1) ** 3)
@@ -128,35 +130,50 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         )
 
     def terminate(self, fn, y, args, options, state: _State, tags):
-        del fn, y, args, options, tags
-        return state.terminate, optx.RESULTS.successful
+        del fn, y, args, tags
+        # The limit is a traced number, so that one compiled program serves a probe and a long fit.
+        spent = state.steps >= options["limit"]
+        result = optx.RESULTS.where(
+            state.terminate | ~spent, optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
+        )
+        return state.terminate | spent, result
 
     def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
         del fn, aux, args, options, tags, result
-        return y, state.stats, {"cost": state.cost, "steps": state.steps}
+        return y, state.stats, {"cost": state.cost, "steps": state.steps, "predicted": state.predicted}
 
 
 class Refined(eqx.Module):
-    """Where a refinement ended: z, the windows' initial states, the statistics there."""
+    """Where a refinement ended: z, the windows' initial states, the statistics there, and why.
+
+    `promised` is the decrease of the cost that one step more would bring by the last linearisation.
+    """
 
     z: Float[Array, " z"]
     delta: Float[Array, "windows 12"]
     stats: Statistics
     cost: Float[Array, ""]
+    promised: Float[Array, ""]
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
+    result: optx.RESULTS
+
+
+def refine_windows(task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9) -> Refined:
+    """Minimises the chi-square over z and all initial states, from z and delta."""
+    return _refine_windows(task, z, delta, jnp.asarray(max_steps), atol, rtol)
 
 
 @eqx.filter_jit
-def refine_windows(task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9) -> Refined:
-    """Minimises the chi-square over z and all initial states, from z and delta."""
+def _refine_windows(task: Task, z, delta, limit, atol: float, rtol: float) -> Refined:
     solution: Any = optx.minimise(
         residual_statistics,
         WindowGaussNewton(rtol=rtol, atol=atol),
         (z, delta),
         task,
+        options={"limit": limit},
         has_aux=True,
-        max_steps=max_steps,
+        max_steps=None,
         throw=False,
         adjoint=optx.ImplicitAdjoint(),
     )
@@ -166,6 +183,8 @@ def refine_windows(task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2
         delta=delta,
         stats=solution.aux,
         cost=solution.stats["cost"],
+        promised=solution.stats["predicted"],
         steps=solution.stats["steps"],
         converged=solution.result == optx.RESULTS.successful,
+        result=solution.result,
     )

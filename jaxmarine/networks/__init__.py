@@ -7,3 +7,4 @@ from ._learned import (
     signals as signals,
     signals_known as signals_known,
 )
+from ._damping import MLPDamping as MLPDamping, mlp_damping as mlp_damping

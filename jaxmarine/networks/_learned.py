@@ -15,12 +15,12 @@ from ..effects import Craft, Motion, Suspect, WrenchEffect
 from ..physics import to_euler_matrix
 
 # Every signal that a residual is tested against, besides the thrusters' commands.
-SIGNALS = (*POSITION[2:], *ATTITUDE, *VELOCITY, *RATE, "t")
+SIGNALS = (*POSITION, *ATTITUDE, *VELOCITY, *RATE, "t")
 
 
 def signals_known(name: str, thrusters: tuple[str, ...]) -> bool:
     """Whether a learned term can depend on that signal."""
-    return name in SIGNALS or name in POSITION or name in thrusters
+    return name in SIGNALS or name in thrusters
 
 
 def signals(motion: Motion, names: tuple[str, ...], thrusters: tuple[str, ...]) -> Array:
@@ -90,14 +90,22 @@ class LearnedWrench(WrenchEffect):
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: np.asarray(value) for name, value in values.items() if eqx.is_array(value)}
 
-    def __call__(self, motion: Motion) -> Wrench:
-        x = jnp.clip(signals(motion, self.inputs, self.thrusters), self.low, self.high)
+    def with_network(self, network: tuple[Array, ...]) -> "LearnedWrench":
+        """The same term with other weights."""
+        return eqx.tree_at(lambda term: term.network, self, network)
+
+    def force(self, inputs: Float[Array, "*points inputs"], network: tuple[Array, ...]) -> Array:
+        """The force for given inputs and weights [N or N m]."""
+        weight_1, bias_1, weight_2, bias_2 = network
         # Squares the range to [-1, 1]; a signal that never moved stays at zero.
         width = jnp.where(self.high > self.low, self.high - self.low, 1.0)
-        x = 2.0 * (x - self.low) / width - 1.0
-        hidden = jnp.tanh((self.weight_1 * x[None, :]).sum(-1) + self.bias_1)
-        force = self.scale * ((self.weight_2 * hidden).sum() + self.bias_2)
-        return jnp.zeros(6).at[DOFS.index(self.target)].set(force)
+        x = 2.0 * (jnp.clip(inputs, self.low, self.high) - self.low) / width - 1.0
+        hidden = jnp.tanh((weight_1 * x[..., None, :]).sum(-1) + bias_1)
+        return self.scale * ((weight_2 * hidden).sum(-1) + bias_2)
+
+    def __call__(self, motion: Motion) -> Wrench:
+        inputs = signals(motion, self.inputs, self.thrusters)
+        return jnp.zeros(6).at[DOFS.index(self.target)].set(self.force(inputs, self.network))
 
 
 def learned_wrench(
@@ -111,12 +119,12 @@ def learned_wrench(
     hidden: int = 8,
 ) -> LearnedWrench:
     """An untrained term: random in its first layer, zero in its last."""
-    weights, biases = jax.random.normal(key, (hidden, len(low) + 1)), jnp.zeros(())
+    weights = jax.random.normal(key, (hidden, len(low) + 1))
     return LearnedWrench(
         weight_1=weights[:, :-1],
         bias_1=weights[:, -1],
         weight_2=jnp.zeros(hidden),
-        bias_2=biases,
+        bias_2=jnp.zeros(()),
         low=jnp.asarray(low),
         high=jnp.asarray(high),
         scale=jnp.asarray(scale, float),

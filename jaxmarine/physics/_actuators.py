@@ -36,8 +36,10 @@ def step_lengths(t: Times) -> Times:
 def _delayed(t: Times, commands: Commands, delay: Commands) -> Commands:
     """Mean over each hold of the command `delay` seconds earlier.
 
-    The mean of a delayed staircase is the difference of its running integral, which is exact at any
-    sampling and differentiable in the delay. Before the log the first command is taken to have held.
+    The mean of a delayed staircase follows from its running integral, which is exact at any sampling
+    and differentiable in the delay. Before the log the first command is taken to have held. Written
+    as the last command that acts in the hold plus what the earlier ones change, so that a delay of
+    zero gives the commands to the last bit; its derivative there is that of a small positive delay.
     """
     dt = step_lengths(t)
     integral = jnp.concatenate(
@@ -45,14 +47,17 @@ def _delayed(t: Times, commands: Commands, delay: Commands) -> Commands:
     )
     times = jnp.concatenate([t, t[-1:] + dt[-1:]])
 
-    def one(integral, delay, first):
-        def at(time):
-            inside = jnp.interp(time, times, integral)
-            return jnp.where(time < times[0], (time - times[0]) * first, inside)
+    def one(integral, delay, c):
+        def cell(time):
+            """The sample whose hold has the time in it; at a border the earlier one."""
+            return jnp.clip(jnp.searchsorted(times, time, side="left") - 1, 0, len(c) - 1)
 
-        return (at(times[1:] - delay) - at(times[:-1] - delay)) / dt
+        start = times[:-1] - delay
+        i, j = cell(start), cell(times[1:] - delay)
+        earlier = c[i] * (times[i + 1] - start) + (integral[j] - integral[i + 1])
+        return c[j] + (earlier - c[j] * (times[j] - start)) / dt
 
-    return jax.vmap(one, in_axes=(1, 1, 0), out_axes=1)(integral, delay, commands[0])
+    return jax.vmap(one, in_axes=1, out_axes=1)(integral, delay, commands)
 
 
 def thrust(drive: Drive, t: Times, commands: Commands) -> tuple[Commands, Commands]:
@@ -67,7 +72,9 @@ def thrust(drive: Drive, t: Times, commands: Commands) -> tuple[Commands, Comman
     derivative with respect to a lag of zero does not exist.
     """
     c = _delayed(t, commands, drive.delay)
-    c = jnp.sign(c) * jnp.maximum(jnp.abs(c) - drive.deadband, 0.0)
+    # Without a dead zone a command of zero is not silent: its slope with respect to the delay is one.
+    silent = (jnp.abs(c) <= drive.deadband) & (drive.deadband > 0.0)
+    c = jnp.where(silent, 0.0, c - jnp.sign(c) * drive.deadband)
     c = jnp.clip(c, -drive.saturation, drive.saturation)
     c = (1.0 - drive.quadratic) * c + drive.quadratic * c * jnp.abs(c)
     goal = drive.max_thrust * drive.gain * c

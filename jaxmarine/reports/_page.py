@@ -217,18 +217,16 @@ def _recalibrated(entry: Recalibrated) -> tuple[str, str, str, str, str]:
 def _gains(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """What, before, after, left."""
     gain = diagnosis.gain
-    low, high = gain.ratio_ci95
-    rows = [
+    return [
         ("Position error (rms)", *_pair(gain.position, "m")),
         ("Velocity error (rms)", *_pair(gain.velocity, "m/s")),
         (
             "All channels, in units of noise",
             "100 %",
             percent(gain.ratio),
-            f"{percent(gain.ratio)} (95 %: {percent(low)} to {percent(high)})",
+            percent(gain.ratio),
         ),
     ]
-    return rows
 
 
 def _pair(errors: BeforeAfter | None, unit: str) -> tuple[str, str, str]:

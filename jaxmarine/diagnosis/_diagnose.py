@@ -1,0 +1,385 @@
+"""The whole diagnosis: search, settle, say what is unknown, extend, measure the gain."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from .._types import CHANNELS
+from ..effects import CATALOGUE, AbstractEffect, place
+from ..fitting import cut
+from ..logs import Log, sensor_noise
+from ..simulation import substeps
+from ..vehicle import Damping, Placed, Vehicle
+from ._coefficients import settle
+from ._gain import HORIZON, Candidate, gain, predictions
+from ._knots import Knots, knots, missing_wrench
+from ._learn import learn
+from ._model import Beginning, Member, Model, Workbench
+from ._result import Alternative, Diagnosis, Finding, Parameter, Recalibrated, Verdict, Weighed
+from ._saturated import saturate
+from ._score import Reduced, solve
+from ._search import Round, dispersion, needed, penalty, search
+from ._unknown import Dependence, cost_of_removal, dependences
+
+WINDOW = 4.0  # [s]
+FEWEST_SAMPLES = 12  # of a window
+# A member whose removal costs less than this share beside the unknown dependences only stood in for them.
+STAND_IN = 0.35
+# Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
+CLOSE = 6.0
+
+Progress = Callable[[str], None]
+
+
+def _silent(text: str) -> None:
+    del text
+
+
+def diagnose(
+    vehicle: Vehicle,
+    train: Sequence[Log] | Log,
+    test: Log,
+    catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
+    window: float | None = None,
+    progress: Progress = _silent,
+) -> Diagnosis:
+    """Shows what a vehicle gets wrong on its logs, names the cause, extends it and measures the gain.
+
+    - `train`: logs in order of time; `test`: the log on which the gain is measured.
+    - `catalogue`: the effects that are suspected; `(*CATALOGUE, YourEffect)` adds one of your own.
+    - `window`: length of the windows [s]; default 4 s, longer where the sampling is slow.
+    - `progress`: called with a few words at each stage.
+
+    Raises `InputError` where the logs are too short.
+    """
+    logs = (train,) if isinstance(train, Log) else tuple(train)
+    notes = [note for log in (*logs, test) for note in log.notes]
+    bench = _workbench(vehicle, logs, catalogue, window)
+    progress("fitting the vehicle file")
+    base = bench.refine(bench.start())
+    bench = _rescaled(bench, base, vehicle)
+    base = bench.refine(base)
+    found = search(bench, base, progress)
+    model, rounds = found.model, found.rounds
+    progress("settling what was found")
+    model, dense = settle(bench, _pruned(bench, model))
+    model = _beginnings_refined(bench, model)
+    stats = bench.screen(model)
+    phi = dispersion(bench, model, stats)
+    unknown: tuple[Dependence, ...] = ()
+    k = knots(bench, model)
+    while not _is_white(bench, stats, phi):
+        progress("looking for what the residual depends on")
+        unknown = dependences(k, phi)
+        spurious = _stand_in(bench, model, k, unknown)
+        if spurious is None:
+            break
+        model = bench.refine(bench.without_member(model, spurious))
+        stats = bench.screen(model)
+        phi = dispersion(bench, model, stats)
+        k = knots(bench, model)
+        unknown = ()
+    white = _is_white(bench, stats, phi)
+
+    extended = _extended(bench, model, dense)
+    final = Candidate(vehicle, bench.families, bench.theta(model))
+    if unknown:
+        progress("learning what is missing")
+        terms = learn(k, unknown, vehicle.thruster_names)
+        placed = tuple(Placed(term, term.target) for term in terms)
+        extended = extended.place(*placed)
+        final = dataclasses.replace(final, vehicle=vehicle.place(*placed))
+    progress("predicting the test log")
+    measured = _measured_gain(bench, model, final, test, changed=extended is not vehicle)
+    findings = _findings(bench, model, stats, phi, rounds) + tuple(
+        Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / phi) for one in unknown
+    )
+    start = bench.refine(bench.frozen(bench.start()))
+    if dense:
+        notes.append(
+            "Many coefficients of the file are off together; they were refitted and are listed as recalibrated."
+        )
+    notes += [
+        f"{one.dof}: {', '.join(one.tied)} would explain the missing wrench as well as one of "
+        f"{', '.join(one.signals)}; these logs cannot tell which."
+        for one in unknown
+        if one.tied
+    ]
+    named = any(f.effect != "unknown" for f in findings)
+    verdicts: dict[tuple[bool, bool], Verdict] = {
+        (False, False): "nothing_found",
+        (True, False): "explained",
+        (True, True): "partly_explained",
+        (False, True): "unexplained",
+    }
+    return Diagnosis(
+        verdict=verdicts[named, bool(unknown)],
+        findings=findings,
+        gain=measured[0],
+        white=white,
+        depends_on=tuple(dict.fromkeys(name for one in unknown for name in one.signals)),
+        vehicle=vehicle,
+        extended=extended,
+        recalibrated=_recalibrated(bench, model, stats) if dense else (),
+        rounds=tuple(_weighed(bench, one) for one in rounds),
+        groups=_groups(findings),
+        misfit_before=2 * start.cost / bench.samples,
+        misfit_after=float(stats.chi2.sum()) / bench.samples,
+        predictions=measured[1],
+        missing_before=missing_wrench(knots(bench, start)),
+        missing_after=missing_wrench(k),
+        train=tuple(log.name for log in logs),
+        test=test.name,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+# --- preparation ---------------------------------------------------------------------------------
+
+
+def _window(logs: Sequence[Log], window: float | None) -> float:
+    dt = float(np.median([log.dt for log in logs]))
+    return max(WINDOW, FEWEST_SAMPLES * dt) if window is None else window
+
+
+def _speed(logs: Sequence[Log]) -> float:
+    """The fastest that the logs go [m/s or rad/s], for the integration step."""
+    speeds = np.concatenate([log.channels[:, 6:12] for log in logs])
+    return float(np.nanmax(np.abs(speeds))) if np.isfinite(speeds).any() else 1.0
+
+
+def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
+    noise = np.nanmedian(np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs]), axis=0)
+    split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speed(logs))
+    data = cut(vehicle, logs, noise, _window(logs, window), split=split)
+    families, layout = saturate(vehicle, catalogue)
+    return Workbench(vehicle, families, layout, data, noise)
+
+
+def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
+    """The workbench with the noise of sensors that the file does not state raised to the residual.
+
+    A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
+    would outweigh all others.
+    """
+    from .._types import SENSORS
+
+    stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
+    free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
+    if not free:
+        return bench
+    noise = bench.noise.copy()
+    rms = bench.residual_rms(model)
+    noise[free] *= np.maximum(1.0, np.nan_to_num(rms[free], nan=1.0))
+    data = cut(vehicle, bench.data.logs, noise, bench.data.length, split=bench.data.split)
+    return Workbench(vehicle, bench.families, bench.layout, data, noise)
+
+
+# --- settling ------------------------------------------------------------------------------------
+
+
+def _pruned(bench: Workbench, model: Model) -> Model:
+    """The model without members that are not needed beside those found later."""
+    i = 0
+    while len(model.members) > 1 and i < len(model.members):
+        less = bench.refine(bench.without_member(model, i))
+        if 2 * (less.cost - model.cost) < needed(bench, model.members[i], 1.0):
+            model, i = less, 0
+        else:
+            i += 1
+    return model
+
+
+def _beginnings_refined(bench: Workbench, model: Model) -> Model:
+    """Moves each beginning to the time that costs least, from coarse to fine."""
+    for i, member in enumerate(model.members):
+        if member.since is None:
+            continue
+        log = bench.data.logs[member.since.log]
+        step = bench.data.length / 2
+        while step >= 0.9 * log.dt:
+            best = model
+            for shift in (-step, step):
+                time = float(np.clip(model.members[i].since.time + shift, log.t[0], log.t[-1]))  # pyright: ignore
+                time = float(log.t[np.argmin(np.abs(log.t - time))])
+                moved = dataclasses.replace(member, since=Beginning(member.since.log, time))
+                members = tuple(moved if j == i else m for j, m in enumerate(model.members))
+                trial = bench.refine(dataclasses.replace(model, members=members), max_steps=6)
+                if trial.cost < best.cost - 1e-6:
+                    best = trial
+            if best is model:
+                step /= 2
+            model = best
+    return model
+
+
+def _is_white(bench: Workbench, stats: Reduced, phi: float) -> bool:
+    """Whether nothing but sensor noise is left: its size is right, and the windows' scores scatter like it."""
+    per_sample = stats.chi2.sum() / bench.samples
+    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
+    return bool(per_sample < size and phi < 1.6)
+
+
+def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]) -> int | None:
+    """The member that an unknown dependence replaces best, if one does."""
+    if not unknown or not model.members:
+        return None
+    costs = cost_of_removal(k, bench.slices(model.members), unknown)
+    shares = [beside / max(alone, 1e-9) for alone, beside in costs]
+    worst = int(np.argmin(shares))
+    return worst if shares[worst] < STAND_IN else None
+
+
+# --- the answer ----------------------------------------------------------------------------------
+
+
+def _extended(bench: Workbench, model: Model, dense: bool) -> Vehicle:
+    vehicle = bench.vehicle
+    if dense:
+        change = {"added_mass": np.zeros(6), "linear_damping": np.zeros(6), "quadratic_damping": np.zeros(6)}
+        for c, z in zip(bench.base, model.z, strict=False):
+            change[c.label.split(":")[0]][c.axis] = z
+        vehicle = dataclasses.replace(
+            vehicle,
+            added_mass=vehicle.added_mass + np.diag(change["added_mass"]),
+            damping=Damping(
+                vehicle.damping.linear + np.diag(change["linear_damping"]),
+                vehicle.damping.quadratic + np.diag(change["quadratic_damping"]),
+            ),
+        )
+    placed = []
+    for member, where in zip(model.members, bench.slices(model.members), strict=True):
+        suspect = bench.layout.suspects[member.suspect]
+        values = bench.layout.neutral_of(member.suspect) + model.z[where]
+        effect = place(suspect, vehicle, dict(zip(suspect.slots, values.tolist(), strict=True)))
+        since = None if member.since is None else member.since.time
+        name = None if member.since is None else bench.data.logs[member.since.log].name
+        placed.append(Placed(effect, suspect.target, since, name))
+    return vehicle.place(*placed) if placed else vehicle
+
+
+def _covariance(bench: Workbench, model: Model, stats: Reduced) -> np.ndarray:
+    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half."""
+    known, precision, _ = bench.known(model)
+    g = stats.g @ known
+    h = known.T @ stats.h.sum(0) @ known + np.diag(precision)
+    inverse = solve(h, np.eye(len(h)))
+    scores = (g - g.mean(0)) @ inverse
+    model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    scatter_std = np.sqrt((scores**2).sum(0) * len(g) / max(len(g) - 1, 1))
+    ratio = scatter_std / np.maximum(model_std, 1e-300)
+    factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
+    return inverse * np.outer(factor, factor)
+
+
+def _findings(
+    bench: Workbench, model: Model, stats: Reduced, phi: float, rounds: Sequence[Round]
+) -> tuple[Finding, ...]:
+    std = np.sqrt(np.diag(_covariance(bench, model, stats)))
+    out = []
+    for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
+        suspect = bench.layout.suspects[member.suspect]
+        values = bench.layout.neutral_of(member.suspect) + model.z[where]
+        units = suspect.effect.units
+        parameters = {
+            name: Parameter(float(value), float(s), units[name])
+            for name, value, s in zip(suspect.slots, values, std[where], strict=True)
+        }
+        without = bench.refine(bench.without_member(model, i))
+        saved = 2 * (without.cost - model.cost)
+        evidence = 0.5 * (saved / phi - penalty(bench, member))
+        since = member.since
+        out.append(
+            Finding(
+                effect=suspect.effect.name,
+                target=suspect.target,
+                since=None if since is None else since.time,
+                since_log=None if since is None else bench.data.logs[since.log].name,
+                parameters=parameters,
+                log_evidence=float(evidence),
+                alternatives=_alternatives(bench, member, phi, rounds, float(evidence)),
+            )
+        )
+    return tuple(out)
+
+
+def _alternatives(
+    bench: Workbench, member: Member, phi: float, rounds: Sequence[Round], evidence: float
+) -> tuple[Alternative, ...]:
+    """What else was weighed in the round in which the member was taken."""
+    taken = [r for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
+    if not taken:
+        return ()
+    trials = taken[0].trials
+    best = trials[0].saved
+    out = []
+    for trial in trials[1:]:
+        suspect = bench.layout.suspects[trial.member.suspect]
+        if trial.member.suspect == member.suspect:
+            continue
+        behind = 0.5 * ((best - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, trials[0].member))
+        close = 2 * behind < CLOSE
+        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
+    close = [a for a in out if a.indistinguishable][:2]
+    return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
+
+
+def _groups(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
+    out = []
+    for finding in findings:
+        same = [
+            a.effect if a.target is None else f"{a.effect}:{a.target}"
+            for a in finding.alternatives
+            if a.indistinguishable
+        ]
+        if same:
+            out.append((finding.label, *same))
+    return tuple(out)
+
+
+def _weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
+    out = []
+    for trial in one.trials:
+        since = trial.member.since
+        words = [] if since is None else [f"since {since.time:g} s"]
+        words += ["taken"] if one.accepted and trial is one.trials[0] else []
+        out.append(
+            Weighed(
+                label=bench.layout.suspects[trial.member.suspect].label,
+                log_evidence=float(0.5 * (trial.saved / one.phi - penalty(bench, trial.member))),
+                saved_chi2=float(trial.saved),
+                parameters=trial.parameters(bench),
+                remark=", ".join(words),
+            )
+        )
+    return tuple(out)
+
+
+def _recalibrated(bench: Workbench, model: Model, stats: Reduced) -> tuple[Recalibrated, ...]:
+    std = np.sqrt(np.diag(_covariance(bench, model, stats)))
+    taken = {bench.layout.suspects[m.suspect].label for m in model.members}
+    return tuple(
+        Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
+        for c, z, s in zip(bench.base, model.z, std, strict=False)
+        if c.label not in taken
+    )
+
+
+def _same(a: Log, b: Log) -> bool:
+    return a.channels.shape == b.channels.shape and bool(np.array_equal(a.channels, b.channels, equal_nan=True))
+
+
+def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, changed: bool):
+    """The gain on the test log, which comes last in time; unless it is a training log itself."""
+    logs = bench.data.logs
+    twin = next((i for i, log in enumerate(logs) if _same(log, test)), None)
+    passed = bench.passed(model.members, test, len(logs) if twin is None else twin)
+    segments = final.theta.shape[0]
+    before = Candidate(bench.vehicle, bench.families, np.tile(bench.layout.neutral, (segments, 1)))
+    run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
+    candidates = [before, final] if changed else [before]
+    times, predicted, measured, begin = predictions(
+        candidates, test, bench.noise, run_in, bench.data.split, passed
+    )
+    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, twin is None)

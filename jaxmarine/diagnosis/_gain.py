@@ -1,0 +1,124 @@
+"""What an extension buys: open-loop predictions of a log that was not fitted."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._types import CHANNELS, POSITION, VELOCITY
+from ..effects import AbstractEffect
+from ..fitting import Problem, Task, cut, predict, refine_windows, start_precision
+from ..logs import Log
+from ..vehicle import Vehicle
+from ._result import BeforeAfter, Gain, Predictions
+from ._saturated import SaturatedPlant
+
+HORIZON = 5.0  # [s]
+STARTS = 60  # predictions at most
+RESAMPLES = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A model to predict with: a vehicle, the catalogue's families in it, their parameters per segment."""
+
+    vehicle: Vehicle
+    families: tuple[AbstractEffect, ...]
+    theta: np.ndarray
+
+
+@eqx.filter_jit
+def _predicted(problem, theta, delta):
+    return predict(problem, theta, delta)[0]
+
+
+def predictions(
+    candidates: Sequence[Candidate], log: Log, noise: np.ndarray, run_in: float, split: int, segment: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, int]:
+    """Times, predicted channels of each candidate, measured channels, and where the prediction begins.
+
+    Each candidate estimates the state at a start by itself, from the `run_in` seconds before it; what
+    lies after the start is not looked at.
+    """
+    length = run_in + HORIZON
+    stride = max(log.dt, (log.duration - length) / STARTS)
+    vehicle = candidates[0].vehicle
+    data = cut(vehicle, [log], noise, length, stride, split, [segment])
+    steps = data.windows.step.shape[1]
+    begin = int(round(run_in / length * steps / split)) * split
+    known = jnp.arange(steps) < begin
+    seen = eqx.tree_at(lambda w: w.weight, data.windows, data.windows.weight * known[None, :, None])
+    weight = np.asarray(data.windows.weight)
+    out = []
+    for one in candidates:
+        segments, size = one.theta.shape
+        plant = SaturatedPlant(one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed))))
+        problem = Problem(
+            plant,
+            data.records,
+            seen,
+            jnp.asarray(start_precision(vehicle.free)),
+            bool((weight[..., 12:] > 0).any()),
+        )
+        theta = jnp.asarray(one.theta)
+        # No parameter is free here, only the states at the starts.
+        task = Task(problem, theta, jnp.zeros((segments, size, 1)), jnp.ones(1), jnp.zeros(1))
+        started = refine_windows(task, jnp.zeros(1), jnp.zeros((data.windows.count, 12)), 10)
+        out.append(np.asarray(_predicted(problem, theta, started.delta))[:, ::split])
+    times = log.t[np.asarray(data.windows.step)[:, ::split] // split]
+    measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)[:, ::split]
+    return times, out, measured, begin // split
+
+
+def _errors(predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    error = predicted - measured
+    turn = slice(3, 6)
+    error[..., turn] = (error[..., turn] + np.pi) % (2 * np.pi) - np.pi
+    return error
+
+
+def _rms(error: np.ndarray, names: tuple[str, ...]) -> float | None:
+    """Root mean square length of the vector of those channels, None where none was measured."""
+    columns = [CHANNELS.index(name) for name in names]
+    squares = error[..., columns] ** 2
+    if not np.isfinite(squares).any():
+        return None
+    return float(np.sqrt(np.nansum(np.nanmean(squares, axis=(0, 1)))))
+
+
+def gain(
+    times: np.ndarray, before: np.ndarray, after: np.ndarray, measured: np.ndarray, begin: int, noise: np.ndarray, held_out: bool
+) -> tuple[Gain, Predictions]:
+    """The gain with a bootstrap interval over starts (in blocks, since neighbours overlap)."""
+    errors = [_errors(p[:, begin:].copy(), measured[:, begin:]) for p in (before, after)]
+    scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
+
+    def pair(names: tuple[str, ...]) -> BeforeAfter | None:
+        values = [_rms(e, names) for e in errors]
+        return None if values[0] is None or values[1] is None else BeforeAfter(values[0], values[1])
+
+    def ratio(index) -> float:
+        return float(np.sqrt(scaled[1][index].sum() / scaled[0][index].sum()))
+
+    starts = len(times)
+    rng = np.random.default_rng(0)
+    block = max(1, min(5, starts // 4))
+    firsts = rng.integers(0, starts, (RESAMPLES, -(-starts // block)))
+    drawn = (firsts[:, :, None] + np.arange(block)) % starts
+    ratios = [ratio(index) for index in drawn.reshape(RESAMPLES, -1)]
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    whole = ratio(np.arange(starts))
+    return (
+        Gain(
+            horizon=HORIZON,
+            position=pair(POSITION),
+            velocity=pair(VELOCITY),
+            ratio=whole,
+            ratio_ci95=(float(low), float(high)),
+            held_out=held_out,
+            starts=starts,
+        ),
+        Predictions(times, begin, measured, before, after, np.where(np.isfinite(measured).any((0, 1)), noise, np.nan)),
+    )

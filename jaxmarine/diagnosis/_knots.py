@@ -1,0 +1,184 @@
+"""The missing wrench: a free force on the hull, piece by piece in time, and what it depends on.
+
+Any wrench that the model lacks is a combination of the knots' columns, so their statistics answer every
+question about it by linear algebra: how large it is over time, on which signals it depends, whether it
+swings with a period. No hypothesis needs a simulation of its own.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..fitting import linearise
+from ..logs import smooth_states
+from ..networks import SIGNALS
+from ..physics import from_euler, rotation
+from ._model import SLOTS, Model, Workbench
+from ._result import MissingWrench
+from ._score import Reduced, solve
+
+# Length of a knot [s]: shorter than what a craft's wrench changes in, long enough for the noise.
+LENGTH = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Knots:
+    """Statistics of the known parameters and the knots, and the signals at the knots.
+
+    - `stats`: columns are the model's z, then knots times six axes.
+    - `precision`, `offset`: prior of z; `free` [6].
+    - `t`, `log`, `rotation` [windows, knots, ...]; `signals`: by name, [windows, knots].
+    """
+
+    stats: Reduced
+    width: int
+    precision: np.ndarray
+    offset: np.ndarray
+    free: np.ndarray
+    t: Float[np.ndarray, "windows knots"]
+    log: np.ndarray
+    rotation: Float[np.ndarray, "windows knots 3 3"]
+    velocity: Float[np.ndarray, "windows knots 6"]
+    signals: dict[str, np.ndarray]
+
+    def columns(self, axis: int, values: Float[np.ndarray, "windows knots features"]) -> Reduced:
+        """Statistics of z and of wrenches on one axis that take the given values at the knots."""
+        whole = np.zeros((*values.shape[:2], 6, values.shape[2]))
+        whole[:, :, axis] = values
+        return self.wrench(whole)
+
+    def wrench(self, values: Float[np.ndarray, "windows knots 6 features"]) -> Reduced:
+        """Statistics of z and of wrenches with the given values at the knots."""
+        n = self.width
+        windows = len(self.t)
+        flat = values.reshape(windows, -1, values.shape[-1])
+        g, h = self.stats.g, self.stats.h
+        h_zk = np.einsum("wzk,wkf->wzf", h[:, :n, n:], flat, optimize=True)
+        h_kk = np.einsum("wkf,wkl,wlm->wfm", flat, h[:, n:, n:], flat, optimize=True)
+        g_k = np.einsum("wk,wkf->wf", g[:, n:], flat)
+        top = np.concatenate([h[:, :n, :n], h_zk], axis=2)
+        bottom = np.concatenate([np.swapaxes(h_zk, 1, 2), h_kk], axis=2)
+        return Reduced(self.stats.chi2, np.concatenate([g[:, :n], g_k], axis=1), np.concatenate([top, bottom], axis=1))
+
+
+@eqx.filter_jit
+def _knot_statistics(task, z, delta, knots: int):
+    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta, knots)
+    return stats.reduced()
+
+
+def knots(bench: Workbench, model: Model) -> Knots:
+    """The knots' statistics at a model."""
+    count = max(2, round(bench.data.length / LENGTH))
+    z = np.zeros(SLOTS)
+    z[: len(model.z)] = model.z
+    task = bench.task(model)
+    chi2, g, h = (np.asarray(a) for a in _knot_statistics(task, jnp.asarray(z), model.delta, count))
+    used = np.r_[: len(model.z), SLOTS : SLOTS + 6 * count]
+    g, h = g[:, used], h[:, used][:, :, used]
+
+    windows = bench.data.windows
+    step = np.asarray(windows.step)
+    part = np.arange(step.shape[1]) * count // step.shape[1]
+    middle = np.array([step[:, part == k].mean(axis=1) for k in range(count)]).T
+    log = np.asarray(windows.log)
+    t = np.zeros((len(log), count))
+    state = np.zeros((len(log), count, 12))
+    command = np.zeros((len(log), count, len(bench.vehicle.thruster_names)))
+    for i, source in enumerate(bench.data.logs):
+        here = log == i
+        track = smooth_states(source, bench.vehicle.dof)
+        sample = np.clip(np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1)
+        t[here] = source.t[sample]
+        state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
+        if source.commands is not None:
+            command[here] = np.asarray(source.commands)[sample]
+    names = ("x", "y", "z", "phi", "theta", "psi", "u", "v", "w", "p", "q", "r")
+    signals = {name: state[:, :, i] for i, name in enumerate(names) if name in SIGNALS}
+    signals |= {name: command[:, :, i] for i, name in enumerate(bench.vehicle.thruster_names)}
+    # Time over all logs in order, so that a drift from log to log is a dependence too.
+    spans = np.cumsum([0.0, *[source.duration for source in bench.data.logs]])[:-1]
+    signals["t"] = t + spans[log][:, None]
+    signals = {name: values for name, values in signals.items() if np.ptp(values) > 1e-6}
+    turns = np.asarray(jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6])))
+    return Knots(
+        stats=Reduced(chi2, g, h),
+        width=len(model.z),
+        precision=np.asarray(task.precision)[: len(model.z)],
+        offset=model.z,
+        free=bench.vehicle.free,
+        t=t,
+        log=log,
+        rotation=turns,
+        velocity=state[:, :, 6:],
+        signals=signals,
+    )
+
+
+def missing_wrench(k: Knots) -> MissingWrench:
+    """The missing wrench over time with its standard deviation, each window by itself.
+
+    A weak pull to zero (a tenth of the information, at least) keeps neighbouring knots that the window
+    cannot tell apart from running against each other.
+    """
+    n = k.width
+    windows, count = k.t.shape
+    wrench = np.full((windows, count, 6), np.nan)
+    std = np.full((windows, count, 6), np.nan)
+    free = np.flatnonzero(k.free)
+    index = (np.arange(count)[:, None] * 6 + free).ravel()
+    for w in range(windows):
+        h = k.stats.h[w][n:, n:][np.ix_(index, index)]
+        g = k.stats.g[w][n:][index]
+        scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(scale, scale)
+        wrench[w][:, free] = (-cov @ g).reshape(count, -1)
+        std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
+    return MissingWrench(
+        log=np.repeat(k.log, count),
+        t=k.t.ravel(),
+        wrench=wrench.reshape(-1, 6),
+        std=std.reshape(-1, 6),
+        velocity=k.velocity.reshape(-1, 6),
+    )
+
+
+def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
+    """What a swinging force of the best period would save, and its parameters to start a fit from."""
+    windows, count = k.t.shape
+    longest = 0.5 * (k.t.max() - k.t.min())
+    periods = np.geomspace(4 * LENGTH, max(longest, 8 * LENGTH), 160)
+    north = np.swapaxes(k.rotation, 2, 3)[:, :, :, 0]
+    east = np.swapaxes(k.rotation, 2, 3)[:, :, :, 1]
+    best = (-np.inf, {})
+    n = k.width
+    for period in periods:
+        angle = 2 * np.pi * k.t / period
+        values = np.zeros((windows, count, 6, 4))
+        for j, (axis, swing) in enumerate((a, s) for a in (north, east) for s in (np.sin(angle), np.cos(angle))):
+            values[:, :, :3, j] = axis * swing[:, :, None]
+        stats = k.wrench(values)
+        h, g = stats.h.sum(0), stats.g.sum(0)
+        h[:n, :n] += np.diag(k.precision)
+        g[:n] += k.precision * k.offset
+        x = solve(h[:n, :n], h[:n, n:])
+        own_h, own_g = h[n:, n:] - x.T @ h[:n, n:], g[n:] - x.T @ g[:n]
+        step = -solve(own_h, own_g)
+        saved = float(-own_g @ step)
+        if saved > best[0]:
+            # One phase for both axes: the direction in which (sin, cos) parts are largest.
+            parts = step.reshape(2, 2)
+            _, _, direction = np.linalg.svd(parts)
+            phase = float(np.arctan2(direction[0, 1], direction[0, 0]))
+            size = parts @ direction[0]
+            if not -np.pi / 2 < phase <= np.pi / 2:
+                phase, size = phase - np.copysign(np.pi, phase), -size
+            best = (
+                saved,
+                {"north": float(size[0]), "east": float(size[1]), "period": float(period), "phase": phase},
+            )
+    return best

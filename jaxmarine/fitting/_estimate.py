@@ -1,0 +1,79 @@
+"""What a solve leaves behind, whichever loss it minimised: the input of all uncertainty."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ._free import Freed, Scales
+
+# Inverse variance, per squared typical size, of a parameter without prior: a trace of curvature that
+# keeps within ten sizes what the data do not determine. Where the size is only a guess, a thousand.
+_TRACE, _FAINT_TRACE = 1e-2, 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Units:
+    """The solver's unknowns z: raw = start + map @ z, one z per freed entry.
+
+    To first order a unit of z is one standard deviation of the entry's prior, or one typical size
+    where it has none. `precision` is that of the normal prior on z.
+    """
+
+    map: Float[np.ndarray, "raw z"]
+    precision: Float[np.ndarray, " z"]
+    has_prior: np.ndarray
+
+
+def units(freed: Freed, scales: Scales) -> Units:
+    """The unknowns at the start of `freed`."""
+    by_raw = np.asarray(jax.jacfwd(freed.entries)(freed.start))
+    has_prior = np.isfinite(scales.prior)
+    return Units(
+        map=np.linalg.solve(by_raw, np.diag(np.where(has_prior, scales.prior, scales.size))),
+        precision=np.where(has_prior, 1.0, np.where(scales.known, _TRACE, _FAINT_TRACE)),
+        has_prior=has_prior,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Where a solve ended.
+
+    - `z`; `raw`: the raw numbers of `Freed` there.
+    - `scores` [groups, z]: derivative of half the chi-square of each window (or of the samples in it).
+    - `information` [groups, z, z]: that of each window, without prior.
+    - `spurious` [z, z]: the part of the information that comes from noise in the regressors.
+    - `chi2` without prior, and the `freedom` (samples less everything fitted) it is to be compared with.
+    - `steps`, `converged`, `result`: how the solve ended, in words.
+    """
+
+    z: Float[np.ndarray, " z"]
+    raw: Float[np.ndarray, " raw"]
+    scores: Float[np.ndarray, "groups z"]
+    information: Float[np.ndarray, "groups z z"]
+    spurious: Float[np.ndarray, "z z"]
+    chi2: float
+    freedom: float
+    steps: int
+    converged: bool
+    result: str
+
+    @property
+    def finite(self) -> bool:
+        """Whether the solve ended at a point where anything can be said."""
+        parts = (self.chi2, self.raw, self.scores, self.information)
+        return all(bool(np.isfinite(part).all()) for part in parts)
+
+    def promise(self, units: Units) -> float:
+        """Half the chi-square that one more undamped step promises to save."""
+        g = self.scores.sum(0) + units.precision * self.z
+        return 0.5 * float(g @ np.linalg.solve(self.information.sum(0) + np.diag(units.precision), g))
+
+
+def entries_at(freed: Freed, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The freed entries at `raw`, and their derivative with respect to it."""
+    raw = jnp.asarray(raw)
+    return np.asarray(freed.entries(raw)), np.asarray(jax.jacfwd(freed.entries)(raw))

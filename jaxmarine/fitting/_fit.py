@@ -1,0 +1,201 @@
+"""Fitting a vehicle to logs: the call, and what it hands back."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PyTree
+
+from .._errors import InputError
+from ..logs import Log, sensor_noise
+from ..vehicle import Vehicle
+from ._coverage import AxisCoverage, coverage
+from ._estimate import Estimate, Units, units
+from ._free import Select, Selection, set_free
+from ._one_step import fit_one_step
+from ._trajectory import fit_trajectory
+from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
+
+# Lines of undetermined combinations that a printed fit shows.
+_SHOWN = 6
+
+
+class FitError(RuntimeError):
+    """A fit that did not succeed; the message says what to change."""
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Fit:
+    """A fitted vehicle, and how far to trust it. `print(fit)` shows the table.
+
+    - `vehicle`, and the `start` it was fitted from.
+    - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do not
+      determine.
+    - `chi2_per_sample`: chi-square per degree of freedom; 1 where noise alone is left. For the one-step loss it is
+      1 by construction, because the scatter is estimated from the residuals.
+    - `steps`, `converged`, `result`: how the solve ended, in words.
+    - `coverage`: the motion that the fit has seen, per free axis.
+    - `loss`, `window` [s], `noise` [18]: settings that it was made with.
+    """
+
+    vehicle: Vehicle
+    start: Vehicle
+    uncertainty: Uncertainty
+    chi2_per_sample: float
+    steps: int
+    converged: bool
+    result: str
+    coverage: tuple[AxisCoverage, ...]
+    loss: str
+    window: float
+    noise: Float[np.ndarray, "18"]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Name, start, value and standard errors of each freed entry."""
+        return self.uncertainty.parameters
+
+    @property
+    def information(self) -> Float[np.ndarray, " entries"]:
+        """Eigenvalues of the information in units of typical sizes, rising: (size / std)²."""
+        return self.uncertainty.information
+
+    @property
+    def undetermined(self) -> tuple[Combination, ...]:
+        """Combinations of parameters that the data do not determine."""
+        return self.uncertainty.undetermined
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The parameter of that name, such as `damping.linear[surge]`."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def __repr__(self) -> str:
+        return "\n".join([*_table(self.parameters), *_undetermined(self), *_coverage(self), _ending(self)])
+
+
+def fit(
+    vehicle: Vehicle,
+    logs: Log | Sequence[Log],
+    free: Select,
+    *,
+    loss: Literal["trajectory", "one_step"] = "trajectory",
+    prior: float | PyTree | None = None,
+    entries: Selection = "all",
+    dissipative: bool = False,
+    window: float = 4.0,
+    max_steps: int = 50,
+    throw: bool = True,
+    noise: Float[np.ndarray, "18"] | None = None,
+) -> Fit:
+    r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt.
+
+    Minimises, over the freed entries p and (trajectory) the initial state $x_w$ of every window,
+    $\sum_w \sum_k |(\hat y_k(p, x_w) - y_k) / \sigma|^2 + \sum_i ((p_i - p_{i,0}) / s_i)^2$.
+
+    - `logs`: one or several, in the order in which they were recorded.
+    - `free`: picks leaves of the vehicle, `lambda v: (v.added_mass, v.damping.linear)`. Entries of 6x6 matrices
+      on locked axes stay; so does what an effect has besides the parameters of its target.
+    - `loss`: "trajectory" compares all measured channels over windows and is consistent under sensor noise;
+      "one_step" compares accelerations at each sample and is biased by noise in the velocities.
+    - `prior`: width relative to the start values (of an inertia: to the total mass), or standard
+      deviations in the structure of `free(vehicle)`, where 0 holds an entry and inf means none.
+    - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
+    - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
+    - `window` [s]: length of the windows, which for one-step are the groups of the sandwich.
+    - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle's file
+      states, else estimated from the logs.
+
+    The total mass matrix stays symmetric and positive definite, whatever is free of it.
+    """
+    logs = (logs,) if isinstance(logs, Log) else tuple(logs)
+    if not logs:
+        raise InputError("A fit needs at least one log.")
+    if not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "A fit needs double precision: call `jax.config.update('jax_enable_x64', True)` first."
+        )
+    if loss not in ("trajectory", "one_step"):
+        raise ValueError(f"Argument `loss` must be trajectory or one_step, but is {loss!r}.")
+    noise = noise_of(vehicle, logs) if noise is None else noise
+    freed, scales = set_free(vehicle, free, prior, entries, dissipative)
+    z_units = units(freed, scales)
+    solve = fit_trajectory if loss == "trajectory" else fit_one_step
+    estimate = solve(freed, z_units, logs, noise, window, max_steps)
+    estimate = _judged(estimate, z_units)
+    if throw and not estimate.converged:
+        raise FitError(f"The fit did not succeed: {estimate.result}")
+    return Fit(
+        vehicle=freed(jnp.asarray(estimate.raw)),
+        start=vehicle,
+        uncertainty=uncertainty(freed, scales, z_units, estimate),
+        chi2_per_sample=estimate.chi2 / max(estimate.freedom, 1.0),
+        steps=estimate.steps,
+        converged=estimate.converged,
+        result=estimate.result,
+        coverage=coverage(logs, vehicle.dof),
+        loss=loss,
+        window=window,
+        noise=noise,
+    )
+
+
+def noise_of(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, "18"]:
+    """Noise per channel: stated by the vehicle, else the median of the logs' estimates; NaN: unmeasured."""
+    noises = np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs])
+    out = np.full(noises.shape[1], np.nan)
+    seen = np.isfinite(noises).any(axis=0)
+    out[seen] = np.nanmedian(noises[:, seen], axis=0)
+    return out
+
+
+def _judged(estimate: Estimate, units: Units) -> Estimate:
+    """The estimate with its result in words that say what to change."""
+    advice = "start nearer, give a prior, or take a shorter `window`."
+    if not estimate.finite:
+        return dataclasses.replace(
+            estimate, converged=False, result=f"the simulation diverged; {advice}"
+        )
+    if not estimate.converged:
+        return dataclasses.replace(
+            estimate,
+            result=f"{estimate.result} After {estimate.steps} steps: raise `max_steps`, {advice}",
+        )
+    if estimate.promise(units) > max(1.0, 1e-3 * estimate.chi2):
+        return dataclasses.replace(
+            estimate, converged=False, result=f"it stopped short of the minimum; {advice}"
+        )
+    return estimate
+
+
+def _table(parameters: tuple[Parameter, ...]) -> list[str]:
+    wide = max(len("parameter"), *(len(p.name) for p in parameters))
+    head = f"{'parameter':<{wide}} {'start':>11} {'value':>11} {'std model':>11} {'std windows':>11}"
+    rows = [
+        f"{p.name:<{wide}} {p.start:>11.5g} {p.value:>11.5g} {p.std_model:>11.2g} {p.std_sandwich:>11.2g}"
+        for p in parameters
+    ]
+    return [head, "-" * len(head), *rows]
+
+
+def _undetermined(fit: Fit) -> list[str]:
+    lines = [f"not determined by the data: {c}" for c in fit.undetermined[:_SHOWN]]
+    more = len(fit.undetermined) - _SHOWN
+    return [*lines, *([f"... and {more} more such combinations"] if more > 0 else [])]
+
+
+def _coverage(fit: Fit) -> list[str]:
+    def axis(c: AxisCoverage) -> str:
+        low, high = c.velocity_range
+        return f"{c.dof} {low:.2g} to {high:.2g}"
+
+    return ["velocities seen (m/s, rad/s): " + ", ".join(axis(c) for c in fit.coverage)]
+
+
+def _ending(fit: Fit) -> str:
+    return (
+        f"{fit.loss} loss, chi-square per degree of freedom {fit.chi2_per_sample:.3g}, "
+        f"{fit.steps} steps: {fit.result}"
+    )

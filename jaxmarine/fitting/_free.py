@@ -1,0 +1,477 @@
+"""What is free in a fit: the leaves that the caller names, as one flat vector of raw numbers.
+
+Raw numbers are unconstrained. Each freed leaf has a part that makes the leaf from its own raw
+numbers: `Entries` takes them as they are, `Inertia` and `Dissipative` keep a matrix positive.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PyTree
+
+from .._types import DOFS, Matrix6
+from ..vehicle import Plant, Vehicle
+
+Selection = Literal["all", "nonzero", "diagonal"]
+Select = Callable[[Vehicle], Any]
+
+# Damping that brakes by this share in a second (at 1 m/s or rad/s): the size of an entry whose axis
+# has none in the file.
+_BRAKING = 0.2
+# A dissipative matrix starts with at least this share of its size in every direction, because its
+# factor has no slope at zero.
+_FLOOR = 1e-2
+
+
+class AbstractPart(eqx.Module):
+    """Makes one leaf of the vehicle from its own raw numbers; as many entries as raw numbers."""
+
+    start: eqx.AbstractVar[Float[Array, " own"]]
+    names: eqx.AbstractVar[tuple[str, ...]]
+
+    @abc.abstractmethod
+    def __call__(self, raw: Float[Array, " own"]) -> Array:
+        """The leaf."""
+
+    @abc.abstractmethod
+    def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
+        """The freed entries of the leaf, in its own units, in the order of `names`."""
+
+
+class Entries(AbstractPart):
+    """A leaf whose entries are the raw numbers themselves: leaf = base + spread @ raw, flat.
+
+    `spread` has one column per number: one 1 for an entry, several where one number acts on
+    several thrusters.
+    """
+
+    start: Float[Array, " own"]
+    base: Array
+    spread: Float[Array, "size own"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __call__(self, raw: Float[Array, " own"]) -> Array:
+        return self.base + (self.spread @ raw).reshape(self.base.shape)
+
+    def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
+        return raw
+
+
+class Inertia(AbstractPart):
+    r"""Added mass or rigid-body matrix such that the total stays positive definite.
+
+    $M_{RB} + M_A = R + L L^T$ on the free axes, `L` lower triangular with the logarithm of its
+    diagonal as raw numbers. `rest` is R, positive semidefinite: zero where the whole block is free,
+    else it carries the entries that are held. `other` is the summand that is not free.
+
+    Source: Pinheiro and Bates (1996), Statistics and Computing 6, 289-296 (log-Cholesky).
+    """
+
+    start: Float[Array, " own"]
+    leaf: Matrix6
+    other: Float[Array, "axes axes"]
+    rest: Float[Array, "axes axes"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    axes: tuple[int, ...] = eqx.field(static=True)
+    lower: tuple[tuple[int, int], ...] = eqx.field(static=True)
+
+    def __call__(self, raw: Float[Array, " own"]) -> Matrix6:
+        rows, columns = np.array(self.lower).T
+        factor = jnp.zeros_like(self.rest)
+        factor = factor.at[rows, columns].set(jnp.where(rows == columns, jnp.exp(raw), raw))
+        total = self.rest + factor @ factor.T
+        return self.leaf.at[np.ix_(self.axes, self.axes)].set(total - self.other)
+
+    def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
+        rows, columns = np.array(self.axes)[np.array(self.lower)].T
+        return self(raw)[rows, columns]
+
+
+class Dissipative(AbstractPart):
+    r"""A damping matrix whose symmetric part stays positive semidefinite.
+
+    $D = R + L L^T + K$ on the free axes, `L` lower triangular, `K` skew. Linear damping then takes
+    energy at every velocity; for quadratic damping, on the elementwise |nu| nu, that follows only
+    where the matrix is diagonal.
+    """
+
+    start: Float[Array, " own"]
+    leaf: Matrix6
+    rest: Float[Array, "axes axes"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    axes: tuple[int, ...] = eqx.field(static=True)
+    lower: tuple[tuple[int, int], ...] = eqx.field(static=True)
+
+    @property
+    def _skew(self) -> tuple[tuple[int, int], ...]:
+        return tuple((i, j) for i, j in self.lower if i != j)
+
+    def __call__(self, raw: Float[Array, " own"]) -> Matrix6:
+        rows, columns = np.array(self.lower).T
+        factor = jnp.zeros_like(self.rest).at[rows, columns].set(raw[: len(self.lower)])
+        skew = jnp.zeros_like(self.rest)
+        if self._skew:
+            rows, columns = np.array(self._skew).T
+            skew = skew.at[rows, columns].set(raw[len(self.lower) :])
+        matrix = self.rest + factor @ factor.T + skew - skew.T
+        return self.leaf.at[np.ix_(self.axes, self.axes)].set(matrix)
+
+    def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
+        axes = np.array(self.axes)
+        places = [*self.lower, *((j, i) for i, j in self._skew)]
+        rows, columns = axes[np.array(places)].T
+        return self(raw)[rows, columns]
+
+
+class Freed(eqx.Module):
+    """The vehicle as a function of the raw numbers of everything that is free."""
+
+    vehicle: Vehicle
+    parts: tuple[AbstractPart, ...]
+    places: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def start(self) -> Float[Array, " raw"]:
+        return jnp.concatenate([part.start for part in self.parts])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for part in self.parts for name in part.names)
+
+    def _split(self, raw: Float[Array, " raw"]) -> list[Array]:
+        ends = np.cumsum([part.start.size for part in self.parts])
+        return jnp.split(raw, ends[:-1])
+
+    def __call__(self, raw: Float[Array, " raw"]) -> Vehicle:
+        leaves, structure = jax.tree.flatten(self.vehicle)
+        for place, part, own in zip(self.places, self.parts, self._split(raw), strict=True):
+            leaves[place] = part(own)
+        return jax.tree.unflatten(structure, leaves)
+
+    def entries(self, raw: Float[Array, " raw"]) -> Float[Array, " raw"]:
+        """The freed entries in their own units, in the order of `names`."""
+        own = self._split(raw)
+        return jnp.concatenate([p.entries(o) for p, o in zip(self.parts, own, strict=True)])
+
+
+class FreedPlant(eqx.Module):
+    """`plant_of` for `Problem`: raw numbers to the plant of a segment.
+
+    - `gates` [segments, placed]: which of the vehicle's own effects act in a segment.
+    """
+
+    freed: Freed
+    gates: Float[Array, "segments placed"]
+
+    def __call__(self, theta: Float[Array, " raw"], segment) -> Plant:
+        return self.freed(theta).plant(self.gates[segment])
+
+
+@dataclasses.dataclass(frozen=True)
+class Scales:
+    """Per freed entry: a typical `size`, and the standard deviation of its `prior` (inf: none).
+
+    `known` says whether the size means something, or stands for an effect that may be of any size.
+    """
+
+    size: Float[np.ndarray, " raw"]
+    prior: Float[np.ndarray, " raw"]
+    known: Bool[np.ndarray, " raw"]
+
+
+def set_free(
+    vehicle: Vehicle,
+    free: Select,
+    prior: float | PyTree | None = None,
+    entries: Selection = "all",
+    dissipative: bool = False,
+    linear: bool = False,
+) -> tuple[Freed, Scales]:
+    """What `free` names, as a function of raw numbers, and the scales of its entries.
+
+    - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero: to its typical
+      size), or standard deviations in the structure of `free(vehicle)`: 0 holds an entry, inf leaves it
+      without prior.
+    - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of locked axes.
+    - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
+    """
+    places, paths = _chosen(vehicle, free)
+    leaves = jax.tree.leaves(vehicle)
+    names = [jax.tree_util.keystr(path).lstrip(".") for path in paths]
+    if {"added_mass", "body.matrix"} <= set(names):
+        raise ValueError("Free `added_mass` or `body.matrix`: a log shows only their sum.")
+    stds = _stated(prior, [leaves[place] for place in places], free, vehicle)
+    parts, sizes, widths, known = [], [], [], []
+    for place, path, name, std in zip(places, paths, names, stds, strict=True):
+        leaf, held = leaves[place], std == 0.0
+        if name in ("added_mass", "body.matrix"):
+            mask = _mask(vehicle, leaf, entries, True) & ~held
+            part = _symmetric(name, np.asarray(leaf), mask) if linear else _inertia(vehicle, name, mask)
+            flat = _places_of(part)
+            size = np.sqrt(np.outer(*[np.diag(vehicle.mass_matrix)] * 2)).ravel()[flat]
+        elif name in ("damping.linear", "damping.quadratic"):
+            mask = _mask(vehicle, leaf, entries, dissipative) & ~held
+            if dissipative:
+                part = _dissipative(vehicle, name, np.asarray(leaf), mask)
+            else:
+                part = _plain(name, np.asarray(leaf), mask)
+            flat = _places_of(part)
+            size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
+        else:
+            part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
+            flat = _places_of(part)
+            value = np.abs(np.asarray(leaf).ravel()[flat])
+            size = np.where(value > 0, value, 1.0)
+        width = std.ravel()[flat] if not isinstance(prior, float | int) else float(prior) * size
+        if (width == 0).any():
+            raise ValueError(f"`{name}`: an entry held by the prior is coupled to free ones; free it as well.")
+        parts.append(part)
+        sizes.append(size)
+        widths.append(width)
+        known.append(np.full(len(size), not name.startswith("placed")))
+    if not sum(part.start.size for part in parts):
+        raise ValueError("Argument `free` leaves nothing free on the axes that can move.")
+    scales = Scales(*map(np.concatenate, (sizes, widths, known)))
+    return Freed(vehicle, tuple(parts), tuple(places)), scales
+
+
+class _Mark:
+    """Stands for a leaf of the vehicle, to see which ones a selection takes."""
+
+    def __init__(self, place: int):
+        self.place = place
+
+
+def _chosen(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
+    paths, structure = jax.tree_util.tree_flatten_with_path(vehicle)
+    try:
+        chosen = jax.tree.leaves(free(structure.unflatten([_Mark(i) for i in range(len(paths))])))
+    except (AttributeError, TypeError) as error:
+        raise ValueError(
+            f"Argument `free` must pick leaves as they are, such as `lambda v: v.damping.linear` ({error})."
+        ) from error
+    if not chosen or not all(isinstance(mark, _Mark) for mark in chosen):
+        raise ValueError(
+            "Argument `free` must return leaves of the vehicle, such as `lambda v: v.damping.linear`."
+        )
+    places = [mark.place for mark in chosen]
+    if len(set(places)) < len(places):
+        raise ValueError("Argument `free` names a leaf twice.")
+    return places, [paths[place][0] for place in places]
+
+
+def _stated(prior, leaves: list, free: Select, vehicle: Vehicle) -> list[np.ndarray]:
+    """Standard deviations in the shape of each freed leaf; inf where no array states any."""
+    shapes = [np.shape(leaf) for leaf in leaves]
+    if prior is None or isinstance(prior, float | int):
+        if prior is not None and not prior > 0:
+            raise ValueError(f"Argument `prior` must be positive, but is {prior}.")
+        return [np.full(shape, np.inf) for shape in shapes]
+    structure = jax.tree.structure(free(vehicle))
+    if jax.tree.structure(prior) != structure:
+        raise ValueError(f"Argument `prior` must have the structure of `free(vehicle)`, {structure}.")
+    stds = [np.asarray(std, float) for std in jax.tree.leaves(prior)]
+    if not all((std >= 0).all() for std in stds):
+        raise ValueError("Argument `prior` holds a standard deviation that is negative or NaN.")
+    return [np.broadcast_to(std, shape) for std, shape in zip(stds, shapes, strict=True)]
+
+
+def _mask(vehicle: Vehicle, leaf, entries: Selection, symmetric: bool) -> np.ndarray:
+    """Which entries of a 6x6 matrix are free."""
+    free = vehicle.free.astype(bool)
+    wanted = {
+        "all": np.ones((6, 6), bool),
+        "nonzero": np.asarray(leaf) != 0,
+        "diagonal": np.eye(6, dtype=bool),
+    }
+    if entries not in wanted:
+        raise ValueError(f"Argument `entries` must be all, nonzero or diagonal, but is {entries!r}.")
+    mask = wanted[entries]
+    if symmetric:
+        mask = mask | mask.T
+    return mask & np.outer(free, free)
+
+
+def _blocks(mask: np.ndarray) -> np.ndarray:
+    """A symmetric pattern completed to full blocks, which a triangular factor keeps."""
+    reach = mask & mask.T
+    reach = reach & np.outer(reach.diagonal(), reach.diagonal())
+    for _ in range(len(mask)):
+        reach = reach | (reach.astype(int) @ reach.astype(int) > 0)
+    return reach
+
+
+def _remainder(matrix: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`matrix` = R + P with R positive semidefinite holding all outside the blocks, P within them.
+
+    With O the outside and B the blocks, O + (1 - m) B is semidefinite for the least eigenvalue m of
+    B^-1/2 (O + B) B^-1/2; the rest, m B, is what a factor may change.
+    """
+    # Axes that are held altogether count as blocks of their own, of any size where they are empty.
+    inside = np.where(np.eye(len(matrix), dtype=bool) | blocks, matrix, 0.0)
+    inverse = np.linalg.inv(np.linalg.cholesky(inside + np.diag(np.diag(matrix) == 0)))
+    least = 1.0 + np.linalg.eigvalsh(inverse @ (matrix - inside) @ inverse.T).min()
+    if least <= 0:
+        raise ValueError("The entries that are held do not leave the start's matrix positive.")
+    own = np.where(blocks, min(1.0, least) * inside, 0.0)
+    return matrix - own, own
+
+
+def _inertia_remainder(total: np.ndarray, fixed: np.ndarray, blocks: np.ndarray):
+    """R and P of the total. R from what is not free where that is a mass matrix, as it bounds less."""
+    if _positive(fixed):
+        rest, _ = _remainder(fixed, blocks)
+        own = np.where(blocks, total - rest, 0.0)
+        if _positive(own + np.diag(~blocks.diagonal() * 1.0)):
+            return total - own, own
+    return _remainder(total, blocks)
+
+
+def _positive(matrix: np.ndarray) -> bool:
+    return bool(np.linalg.eigvalsh(matrix).min() > 1e-9 * np.abs(matrix).max())
+
+
+def _matrix_places(axes, pairs) -> np.ndarray:
+    """Flat places in a 6x6 matrix of pairs of free axes."""
+    rows, columns = np.array(axes)[np.array(pairs, int).reshape(-1, 2)].T
+    return rows * 6 + columns
+
+
+def _places_of(part: AbstractPart) -> np.ndarray:
+    """Flat places in the leaf of a part's entries."""
+    if isinstance(part, Entries):
+        return np.argmax(np.asarray(part.spread), axis=0)
+    pairs = [*part.lower, *((j, i) for i, j in part.lower if i != j and isinstance(part, Dissipative))]
+    return _matrix_places(part.axes, pairs)
+
+
+def _damping_size(vehicle: Vehicle, leaf: np.ndarray) -> np.ndarray:
+    own = np.abs(np.diag(leaf))
+    own = np.where(own > 0, own, _BRAKING * np.diag(np.asarray(vehicle.mass_matrix)))
+    return np.maximum(np.abs(leaf), np.sqrt(np.outer(own, own)))
+
+
+def _inertia(vehicle: Vehicle, name: str, mask: np.ndarray) -> Inertia:
+    leaf = np.asarray(vehicle.added_mass if name == "added_mass" else vehicle.body.matrix)
+    axes = np.flatnonzero(vehicle.free)
+    block = np.ix_(axes, axes)
+    total = np.asarray(vehicle.mass_matrix)[block]
+    total = (total + total.T) / 2
+    other = np.asarray(vehicle.mass_matrix)[block] - leaf[block]
+    blocks = _blocks(mask[block])
+    if not _positive(total):
+        raise ValueError("The start's mass matrix is not positive definite on the free axes.")
+    held = (leaf + leaf.T)[block] / 2 * blocks
+    rest, own = _inertia_remainder(total, total - held, blocks)
+    lower = tuple((int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(blocks)), strict=True))
+    factor = np.linalg.cholesky(own + np.diag(~blocks.diagonal() * 1.0))
+    raw = [np.log(factor[i, j]) if i == j else factor[i, j] for i, j in lower]
+    return Inertia(
+        start=jnp.asarray(np.array(raw, float)),
+        leaf=jnp.asarray(leaf),
+        other=jnp.asarray(other),
+        rest=jnp.asarray(rest),
+        names=tuple(_entry(name, axes[i], axes[j], ",") for i, j in lower),
+        axes=tuple(axes.tolist()),
+        lower=lower,
+    )
+
+
+def _dissipative(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Dissipative:
+    axes = np.flatnonzero(vehicle.free)
+    block = np.ix_(axes, axes)
+    matrix, blocks = leaf[block], _blocks(mask[block])
+    scale = np.sqrt(np.diag(_damping_size(vehicle, leaf))[axes])
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2 / np.outer(scale, scale))
+    symmetric = (vectors * np.maximum(values, _FLOOR)) @ vectors.T * np.outer(scale, scale)
+    # Flooring may fill what was zero; outside the blocks the matrix stays as it is.
+    symmetric = np.where(blocks, symmetric, (matrix + matrix.T) / 2)
+    rest, own = _remainder(symmetric, blocks)
+    skew = (matrix - matrix.T) / 2
+    lower = [(int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(blocks)), strict=True)]
+    factor = np.linalg.cholesky(own + np.diag(~blocks.diagonal() * 1.0))
+    upper = [(j, i) for i, j in lower if i != j]
+    raw = [factor[i, j] for i, j in lower] + [skew[i, j] for i, j in lower if i != j]
+    return Dissipative(
+        start=jnp.asarray(np.array(raw, float)),
+        leaf=jnp.asarray(leaf),
+        rest=jnp.asarray(rest + np.where(blocks, 0.0, skew)),
+        names=tuple(_entry(name, axes[i], axes[j], "<-") for i, j in lower + upper),
+        axes=tuple(axes.tolist()),
+        lower=tuple(lower),
+    )
+
+
+def _symmetric(name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
+    pairs = [(int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(mask)), strict=True)]
+    names = [_entry(name, i, j, ",") for i, j in pairs]
+    return _entries(leaf, [tuple({6 * i + j, 6 * j + i}) for i, j in pairs], names)
+
+
+def _plain(name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
+    rows, columns = np.nonzero(mask)
+    names = [_entry(name, i, j, "<-") for i, j in zip(rows, columns, strict=True)]
+    return _entries(leaf, [(6 * int(i) + int(j),) for i, j in zip(rows, columns, strict=True)], names)
+
+
+def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndarray) -> Entries:
+    """A leaf without constraints; of an effect placed on a target only what belongs to the target."""
+    groups, names = _of_target(vehicle, path) if path[0].name == "placed" else (None, None)
+    if groups is None or names is None:
+        groups = [(i,) for i in range(leaf.size)]
+        names = _labels(vehicle, name, leaf)
+    kept = [k for k, group in enumerate(groups) if not held.ravel()[list(group)].all()]
+    return _entries(leaf, [groups[k] for k in kept], [names[k] for k in kept])
+
+
+def _of_target(vehicle: Vehicle, path) -> tuple[list[tuple[int, ...]] | None, list[str] | None]:
+    """Places in the leaf that each parameter of a placed effect fills, and the parameters' names."""
+    placed = vehicle.placed[path[1].idx]
+    suspects = type(placed.effect).suspects(vehicle)
+    suspect = next((s for s in suspects if s.target == placed.target), None)
+    if suspect is None:
+        return None, None
+    inside = jax.tree_util.tree_flatten_with_path(placed.effect)[0]
+    sizes = [np.size(leaf) for _, leaf in inside]
+    which = [tuple(p) for p, _ in inside].index(tuple(path[3:]))
+    first = sum(sizes[:which])
+    groups, names = [], []
+    for parameter, slots in suspect.slots.items():
+        own = tuple(s - first for s in slots if 0 <= s - first < sizes[which])
+        if own:
+            groups.append(own)
+            names.append(f"{suspect.label}.{parameter}")
+    return groups, names
+
+
+def _labels(vehicle: Vehicle, name: str, leaf: np.ndarray) -> list[str]:
+    if leaf.ndim == 0:
+        return [name]
+    places = list(np.ndindex(*leaf.shape))
+    if name.startswith("thrusters."):
+        return [
+            f"{name}[{','.join([vehicle.thruster_names[i], *map(str, rest)])}]" for i, *rest in places
+        ]
+    return [f"{name}[{','.join(map(str, place))}]" for place in places]
+
+
+def _entries(leaf: np.ndarray, groups: list[tuple[int, ...]], names: list[str]) -> Entries:
+    spread = np.zeros((leaf.size, len(groups)))
+    for k, group in enumerate(groups):
+        spread[list(group), k] = 1.0
+    flat = leaf.ravel().astype(float)
+    start = np.array([flat[group[0]] for group in groups], float)
+    base = np.where(spread.any(axis=1), 0.0, flat).reshape(leaf.shape)
+    return Entries(jnp.asarray(start), jnp.asarray(base), jnp.asarray(spread), tuple(names))
+
+
+def _entry(name: str, row: int, column: int, between: str) -> str:
+    """`damping.linear[sway<-yaw]`, and `damping.linear[sway]` on the diagonal."""
+    inside = DOFS[row] if row == column else f"{DOFS[row]}{between}{DOFS[column]}"
+    return f"{name}[{inside}]"

@@ -1,0 +1,225 @@
+"""The one-step loss: accelerations at each sample, from the measured motion and the commands there.
+
+    r_k = sigma^-1 M^-1 (M nu'_k + C nu_k + D nu_k + g - tau_k)
+
+It needs no integration and is nearly linear in the parameters, but takes the measured velocities for
+true: their noise enters the regressors and pulls damping towards zero. Source: thesis, sec. 5.3.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from .._types import CHANNELS
+from ..logs import Log, smooth_states
+from ..physics import from_euler
+from ..vehicle import Input, Plant, State
+from ._coverage import acceleration_of
+from ._estimate import Estimate, Units
+from ._free import Freed, FreedPlant
+from ._linearise import Problem, _drives, _memory, start_precision
+from ._trajectory import segments
+from ._windows import cut
+
+
+class Samples(eqx.Module):
+    """The motion at every sample of every log, padded as `Records` are.
+
+    - `weight` [1/(m/s²), 1/(rad/s²)]: zero on locked axes, in gaps, and in the padding.
+    - `instant`: whether the accelerations are those at the sample, as sensors give them, or the mean
+      slope about it, as differentiated velocities are.
+    """
+
+    position: Float[Array, "logs steps 3"]
+    attitude: Float[Array, "logs steps 4"]
+    velocity: Float[Array, "logs steps 6"]
+    acceleration: Float[Array, "logs steps 6"]
+    weight: Float[Array, "logs steps 6"]
+    instant: bool = eqx.field(static=True)
+
+
+class OneStep(eqx.Module):
+    """The residuals of the one-step loss as a function of z."""
+
+    problem: Problem
+    samples: Samples
+    start: Float[Array, " raw"]
+    map: Float[Array, "raw z"]
+    precision: Float[Array, " z"]
+    segments: int = eqx.field(static=True)
+
+    def _at_samples(self, z: Float[Array, " z"], of: Callable[[Plant, State, Array, Input], Array]):
+        """`of` the vehicle, its measured state, acceleration and input, at every sample."""
+        theta = self.start + self.map @ z
+        plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
+        records, samples = self.problem.records, self.samples
+        mean, at = _drives(self.problem, plants.drive)
+        before = jnp.concatenate([mean[:, :1], mean[:, :-1]], axis=1)
+        push = at if samples.instant else 0.5 * (before + mean)
+        lagged, _ = _memory(self.problem, plants)
+        states = State(samples.position, samples.attitude, samples.velocity, lagged)
+        drive = Input(push, records.commands, records.wrench, records.t)
+
+        def one(state, acceleration, drive, segment):
+            return of(jax.tree.map(lambda a: a[segment], plants), state, acceleration, drive)
+
+        return jax.vmap(jax.vmap(one))(states, samples.acceleration, drive, records.segment)
+
+    def missing(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
+        """The wrench that the vehicle lacks for the measured acceleration [N, N m]."""
+        return self._at_samples(z, lambda plant, *sample: plant.balance(*sample))
+
+    def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
+        """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
+        return self._at_samples(
+            z, lambda plant, *sample: plant.inverse_mass @ plant.balance(*sample)
+        )
+
+    def residuals(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
+        return self.errors(z) * self.samples.weight
+
+    def weighted(self, weight) -> "OneStep":
+        """The same with other weights per axis, zero where it was zero."""
+        new = jnp.where(self.samples.weight > 0, jnp.asarray(weight)[None, None], 0.0)
+        return eqx.tree_at(lambda s: s.samples.weight, self, new)
+
+
+def one_step(
+    freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, "18"]
+) -> OneStep:
+    """The one-step problem of logs; each axis weighs by the spread of its own acceleration."""
+    logs = [
+        dataclasses.replace(log, channels=np.where(np.isfinite(noise), log.channels, np.nan))
+        for log in logs
+    ]
+    vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
+    # Windows play no part here; two in each log are the least that a cut makes.
+    shortest = min(len(log.t) * log.dt for log in logs)
+    data = cut(vehicle, logs, noise, shortest / 2, segments=acting.of_samples)
+    problem = Problem(
+        FreedPlant(freed, jnp.asarray(acting.gates)),
+        data.records,
+        data.windows,
+        jnp.asarray(start_precision(vehicle.free)),
+        False,
+    )
+    return OneStep(
+        problem,
+        _samples(logs, vehicle.dof, vehicle.free, data.records.t.shape[1]),
+        freed.start,
+        jnp.asarray(units.map),
+        jnp.asarray(units.precision),
+        len(acting.gates),
+    )
+
+
+def _samples(logs: Sequence[Log], dof: Sequence[str], free: np.ndarray, steps: int) -> Samples:
+    moving = free.astype(bool)
+    rows = []
+    for log in logs:
+        track = smooth_states(log, dof)
+        guess = np.concatenate([track.position, track.attitude, track.nu], axis=1)
+        seen = np.isfinite(log.channels[:, :12]) & np.tile(moving, 2)
+        motion = np.where(seen, log.channels[:, :12], guess)
+        acceleration = acceleration_of(log, track.nu)
+        known = np.isfinite(acceleration) & moving
+        row = np.concatenate([motion, np.where(known, acceleration, 0.0), known], axis=1)
+        rows.append(np.pad(row, [(0, steps - len(row)), (0, 0)]))
+    table = np.array(rows)
+    known = table[..., 18:] > 0
+    spread = [table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)]
+    weight = known / np.where(np.array(spread) > 0, spread, 1.0)
+    return Samples(
+        position=jnp.asarray(table[..., :3]),
+        attitude=jax.vmap(jax.vmap(from_euler))(jnp.asarray(table[..., 3:6])),
+        velocity=jnp.asarray(table[..., 6:12]),
+        acceleration=jnp.asarray(table[..., 12:18]),
+        weight=jnp.asarray(weight),
+        instant=bool(set(CHANNELS[12:]) & {name for log in logs for name in log.measured}),
+    )
+
+
+def groups_of(logs: Sequence[Log], steps: int, window: float) -> np.ndarray:
+    """The stretch of `window` seconds that each (padded) sample of each log lies in."""
+    rows, first = [], 0
+    for log in logs:
+        own = first + ((log.t - log.t[0]) // window).astype(int)
+        first = own[-1] + 1
+        rows.append(np.pad(own, (0, steps - len(own)), mode="edge"))
+    return np.array(rows)
+
+
+@eqx.filter_jit
+def _solve(task: OneStep, z, max_steps: int):
+    def residual(z, task):
+        return task.residuals(z), jnp.sqrt(task.precision) * z
+
+    solution = optx.least_squares(
+        residual,
+        optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
+        z,
+        task,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return solution.value, solution.stats["num_steps"], solution.result
+
+
+@eqx.filter_jit
+def _slopes(task: OneStep, z):
+    return task.errors(z), task.residuals(z), jax.jacfwd(task.residuals)(z)
+
+
+def fit_one_step(
+    freed: Freed,
+    units: Units,
+    logs: Sequence[Log],
+    noise: Float[np.ndarray, "18"],
+    window: float,
+    max_steps: int,
+) -> Estimate:
+    """Minimises the one-step loss; a second solve weighs each axis by the scatter that the first left."""
+    task = one_step(freed, units, logs, noise)
+    z, first, _ = _solve(task, jnp.zeros(len(units.precision)), max_steps)
+    errors, _, _ = _slopes(task, z)
+    scatter = scatter_of(np.asarray(errors), np.asarray(task.samples.weight) > 0)
+    task = task.weighted(1.0 / np.maximum(scatter, 1e-9))
+    z, second, result = _solve(task, z, max_steps)
+    _, residual, slope = _slopes(task, z)
+    group = groups_of(logs, residual.shape[1], window)
+    return _estimate(task, np.asarray(z), residual, slope, group, int(first + second), result)
+
+
+def scatter_of(errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray) -> Float[np.ndarray, "6"]:
+    """Root mean square per axis where known; one where an axis has no sample."""
+    count = known.sum(axis=(0, 1))
+    return np.where(count > 0, np.sqrt((errors**2 * known).sum(axis=(0, 1)) / np.maximum(count, 1)), 1.0)
+
+
+def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> Estimate:
+    residual, slope = np.asarray(residual), np.asarray(slope)
+    scores = np.zeros((group.max() + 1, len(z)))
+    information = np.zeros((group.max() + 1, len(z), len(z)))
+    for g in range(len(scores)):
+        own = group == g
+        j, r = slope[own].reshape(-1, len(z)), residual[own].ravel()
+        scores[g], information[g] = j.T @ r, j.T @ j
+    chi2 = float((residual**2).sum())
+    return Estimate(
+        z=z,
+        raw=np.asarray(task.start) + np.asarray(task.map) @ z,
+        scores=scores,
+        information=information,
+        spurious=np.zeros((len(z), len(z))),
+        chi2=chi2,
+        freedom=int((np.asarray(task.samples.weight) > 0).sum()) - len(z),
+        steps=steps,
+        converged=bool(result == optx.RESULTS.successful) and bool(np.isfinite(chi2)),
+        result=optx.RESULTS[result] or "converged",
+    )

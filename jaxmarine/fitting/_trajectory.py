@@ -1,0 +1,141 @@
+"""The trajectory loss: windows rolled out from their own initial states, against all channels."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Float
+
+from ..logs import Log
+from ..simulation import gates, substeps
+from ..vehicle import Vehicle
+from ._estimate import Estimate, Units
+from ._free import Freed, FreedPlant
+from ._linearise import Problem, linearise, start_precision
+from ._solver import Refined, Task, refine_windows
+from ._windows import Cut, cut
+
+# Times that the integration step may be refined because the fitted vehicle is stiffer than its start.
+_REFINEMENTS = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Segments:
+    """Which placed effects act: per log and sample the segment, per segment the gates."""
+
+    of_samples: tuple[np.ndarray, ...]
+    gates: Float[np.ndarray, "segments placed"]
+
+
+def segments(vehicle: Vehicle, logs: Sequence[Log]) -> Segments:
+    """Segments of logs in the order in which they were recorded."""
+    names = [log.name for log in logs]
+    rows = []
+    for g, log in enumerate(logs):
+        row, before = gates(vehicle, log), gates(vehicle, log, earlier=(log.name,))
+        for i, placed in enumerate(vehicle.placed):
+            if placed.since_log in names[g + 1 :]:
+                row[:, i] = before[:, i]
+        rows.append(row)
+    unique, index = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+    ends = np.cumsum([len(row) for row in rows])[:-1]
+    return Segments(tuple(np.split(index.ravel(), ends)), unique)
+
+
+def fit_trajectory(
+    freed: Freed,
+    units: Units,
+    logs: Sequence[Log],
+    noise: Float[np.ndarray, "18"],
+    window: float,
+    max_steps: int,
+) -> Estimate:
+    """Minimises the chi-square of the windows over z and all initial states."""
+    vehicle = freed.vehicle
+    acting = segments(vehicle, logs)
+    dt = float(np.median([log.dt for log in logs]))
+    split, steps, z = substeps(vehicle, dt), 0, np.zeros(len(units.precision))
+    best = None
+    for _ in range(_REFINEMENTS):
+        data = cut(vehicle, logs, noise, window, split=split, segments=acting.of_samples)
+        task = _task(freed, units, data, acting)
+        nothing = jnp.zeros((data.windows.count, 12))
+        refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
+        steps += int(refined.steps)
+        now = _estimate(freed, units, data, task, refined, steps)
+        if not now.finite:
+            # Finer steps from a point far off may fail where coarse ones had ended.
+            return now if best is None else best
+        best, z = now, now.z
+        needed = substeps(freed(jnp.asarray(now.raw)), dt)
+        if needed <= split:
+            break
+        split = needed
+    return best
+
+
+def _task(freed: Freed, units: Units, data: Cut, acting: Segments) -> Task:
+    vehicle, count = freed.vehicle, len(acting.gates)
+    problem = Problem(
+        FreedPlant(freed, jnp.asarray(acting.gates)),
+        data.records,
+        data.windows,
+        jnp.asarray(start_precision(vehicle.free)),
+        bool((np.asarray(data.windows.weight)[..., 12:] > 0).any()),
+    )
+    return Task(
+        problem,
+        jnp.tile(freed.start[None], (count, 1)),
+        jnp.tile(jnp.asarray(units.map)[None], (count, 1, 1)),
+        jnp.asarray(units.precision),
+        jnp.zeros(len(units.precision)),
+    )
+
+
+def _estimate(
+    freed: Freed, units: Units, data: Cut, task: Task, refined: Refined, steps: int
+) -> Estimate:
+    chi2, scores, information = refined.stats.reduced()
+    # Components of the initial states that the data hold, rather than their weak prior.
+    pull = np.asarray(task.problem.start_precision)
+    loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
+    samples = int((np.asarray(data.windows.weight) > 0).sum())
+    z = np.asarray(refined.z)
+    return Estimate(
+        z=z,
+        raw=np.asarray(freed.start) + units.map @ z,
+        scores=np.asarray(scores),
+        information=np.asarray(information),
+        spurious=_spurious(task, refined),
+        chi2=float(chi2.sum()),
+        freedom=samples - (12 * data.windows.count - float(loose)) - len(z),
+        steps=steps,
+        converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),
+        result=optx.RESULTS[refined.result] or "converged",
+    )
+
+
+def _spurious(task: Task, refined: Refined) -> np.ndarray:
+    """Information that the noise in the estimated initial states pretends.
+
+    A vehicle at rest seems to move by what its initial states were fitted to noise, and that seems
+    to determine its parameters. As much noise once more adds as much information once more:
+    the mean over two opposite draws, which cancel to first order, less what is there.
+    """
+    factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
+    draws = np.random.default_rng(0).normal(size=refined.delta.shape)
+    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws))
+    there = np.asarray(refined.stats.reduced()[2].sum(0))
+    both = [_information(task, refined.z, refined.delta + sign * moved) for sign in (1.0, -1.0)]
+    values, vectors = np.linalg.eigh(np.mean(both, axis=0) - there)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+@eqx.filter_jit
+def _information(task: Task, z, delta):
+    """Reduced information of all windows, summed."""
+    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta)
+    return stats.reduced()[2].sum(0)

@@ -1,0 +1,124 @@
+"""Damping as a network of the velocity, inside the physics."""
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from .._types import DOFS, Wrench
+from ..effects import Craft, Motion, Suspect, WrenchEffect
+
+
+class MLPDamping(WrenchEffect):
+    r"""Damping beside that of the vehicle, $\tau_a = s_o (f(\nu_r / s_i) - f(0))$ on chosen axes a.
+
+    - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes to
+      forces on them; zero at the start in its last layer, so that the unfitted vehicle is the physics.
+    - `input_scale` [m/s, rad/s]: largest speeds in the data; beyond them tanh levels off and nothing is known.
+    - `output_scale` [N, N m]: size of the forces.
+
+    There is no force at rest, by construction. Nothing makes the force dissipative. Source: thesis
+    sec. 4.1 (a network parallel to the model), as a term of the equations of motion.
+    """
+
+    name: ClassVar[str] = "mlp_damping"
+    units: ClassVar[dict[str, str]] = {}
+
+    network: eqx.nn.MLP
+    input_scale: Float[Array, " axes"]
+    output_scale: Float[Array, " axes"]
+    # Activations are no arrays, and all that a plant holds must be.
+    frame: eqx.nn.MLP = eqx.field(static=True)
+    axes: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        raise NotImplementedError("A learned term has no neutral value before it is built.")
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return ()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What a vehicle file names: the axes."""
+        return self.axes
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name, layer by layer."""
+        out = {"input_scale": self.input_scale, "output_scale": self.output_scale}
+        for k, layer in enumerate(self.network.layers):
+            out |= {f"weight_{k}": layer.weight, f"bias_{k}": layer.bias}
+        return {name: np.asarray(value) for name, value in out.items() if value is not None}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray], axes: tuple[str, ...]) -> Self:
+        """The term whose `arrays()` these were; ValueError where they do not fit together."""
+        depth = sum(name.startswith("weight_") for name in arrays) - 1
+        term = mlp_damping(
+            axes,
+            arrays["input_scale"],
+            arrays["output_scale"],
+            jax.random.key(0),
+            width=len(arrays["weight_0"]),
+            depth=depth,
+        )
+        shapes = {name: value.shape for name, value in term.arrays().items()}
+        if shapes != {name: np.shape(value) for name, value in arrays.items()}:
+            raise ValueError(f"its arrays are not {shapes}")
+
+        def stored(term: Self) -> list[Array]:
+            layers = term.network.layers
+            biases = [layer.bias for layer in layers[:-1]]
+            return [term.input_scale, term.output_scale, *[x.weight for x in layers], *biases]
+
+        names = ["input_scale", "output_scale", *(f"weight_{k}" for k in range(depth + 1))]
+        names += [f"bias_{k}" for k in range(depth)]
+        return eqx.tree_at(stored, term, [jnp.asarray(arrays[name], float) for name in names])
+
+    def __call__(self, motion: Motion) -> Wrench:
+        places = np.array([DOFS.index(axis) for axis in self.axes])
+        network = eqx.combine(self.network, self.frame)
+        x = motion.nu_r[places] / self.input_scale
+        force = self.output_scale * (network(x) - network(jnp.zeros_like(x)))
+        return jnp.zeros(6).at[places].set(force)
+
+
+def mlp_damping(
+    axes: Sequence[str],
+    speed: Float[np.ndarray, " axes"],
+    force: Float[np.ndarray, " axes"],
+    key: PRNGKeyArray,
+    width: int = 8,
+    depth: int = 1,
+) -> MLPDamping:
+    """An untrained term on `axes`: random but for its last layer, which is zero.
+
+    - `speed` [m/s, rad/s], `force` [N, N m]: typical sizes per axis, which scale inputs and outputs.
+    """
+    # No bias in the last layer: the subtracted value at rest would cancel it.
+    network = eqx.nn.MLP(
+        len(axes),
+        len(axes),
+        width,
+        depth,
+        activation=jnp.tanh,
+        use_final_bias=False,
+        dtype=jnp.result_type(float),
+        key=key,
+    )
+    last = lambda net: net.layers[-1].weight  # noqa: E731
+    network = eqx.tree_at(last, network, replace_fn=jnp.zeros_like)
+    arrays, frame = eqx.partition(network, eqx.is_array)
+    return MLPDamping(
+        network=arrays,
+        input_scale=jnp.asarray(np.asarray(speed, float)),
+        output_scale=jnp.asarray(np.asarray(force, float)),
+        frame=frame,
+        axes=tuple(axes),
+    )

@@ -1,0 +1,235 @@
+"""The assembled vehicle: forward against inverse dynamics, locked axes, order of effects, files."""
+
+import dataclasses
+
+import equinox as eqx
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.blind import plant as blind
+from jaxmarine._errors import InputError
+from jaxmarine._types import DOFS
+from jaxmarine.effects import (
+    CATALOGUE,
+    Buoyancy,
+    Payload,
+    SteadyCurrent,
+    VelocityInEarthAxes,
+    VelocityLeverArm,
+    VelocityScale,
+    place,
+)
+from jaxmarine.physics import from_euler
+from jaxmarine.simulation import initial_state
+from jaxmarine.vehicle import Input, Placed, State, Vehicle, forward_dynamics, inverse_dynamics
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle
+from tests.crafts import PACKAGED, independent, packaged, random_start
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def with_all(vehicle: Vehicle, scale: float = 0.1) -> Vehicle:
+    """The vehicle with all effects of the catalogue, each somewhat off its neutral value."""
+    rng = np.random.default_rng(0)
+    off = [
+        jax.tree.map(
+            lambda a: a + scale * jnp.asarray(rng.uniform(0.2, 1.0, a.shape)), cls.neutral(vehicle)
+        )
+        for cls in CATALOGUE
+    ]
+    return vehicle.place(*(Placed(effect) for effect in off))
+
+
+def random_state(vehicle: Vehicle, seed: int) -> State:
+    rng = np.random.default_rng(seed)
+    attitude = from_euler(jnp.asarray(rng.uniform(-3, 3, 3) * vehicle.free[3:]))
+    memory = initial_state(vehicle).memory
+    return State(
+        position=jnp.asarray(rng.normal(size=3)),
+        attitude=attitude,
+        velocity=jnp.asarray(rng.normal(size=6) * vehicle.free),
+        memory=jnp.asarray(rng.normal(size=memory.shape)),
+    )
+
+
+# --- packaged files ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PACKAGED)
+def test_packaged_vehicles_hold_the_numbers_that_independent_code_reads(name):
+    vehicle, other = packaged(name), independent(name)
+    assert vehicle.name == name == other.name
+    assert vehicle.dof == tuple(DOFS[i] for i in other.free)
+    assert vehicle.thruster_names == other.names
+    pairs = {
+        "rigid": (vehicle.body.matrix, other.rigid),
+        "added": (vehicle.added_mass, other.added),
+        "linear": (vehicle.damping.linear, other.linear),
+        "quadratic": (vehicle.damping.quadratic, other.quadratic),
+        "weight": (vehicle.body.weight * vehicle.body.cog, other.weight * other.cog),
+        "buoyancy": (vehicle.body.buoyancy * vehicle.body.cob, other.buoyancy * other.cob),
+        "allocation": (
+            vehicle.plant().allocation * vehicle.thrusters.max_thrust[None, :],
+            other.allocation,
+        ),
+    }
+    for what, (got, expected) in pairs.items():
+        assert np.allclose(got, expected, rtol=1e-14, atol=1e-12), what
+    text = packaged_vehicle(name).read_text()
+    assert "# Source:" in text and "# Assumed" in text
+
+
+# --- equations of motion ----------------------------------------------------------------------
+
+FULL = {name: with_all(packaged(name)) for name in ("tethra", "cybership2")}
+
+
+@eqx.filter_jit
+def there_and_back(vehicle: Vehicle, state: State, nu_dot, t):
+    """The acceleration under the wrench that is to give `nu_dot`."""
+    wrench = inverse_dynamics(vehicle, state, nu_dot, t)
+    nothing = jnp.zeros(len(vehicle.thruster_names))
+    return forward_dynamics(vehicle, state, Input(nothing, nothing, wrench, t))
+
+
+@pytest.mark.parametrize("name", FULL)
+@hypothesis.given(SEEDS)
+@hypothesis.settings(max_examples=25)
+def test_forward_and_inverse_dynamics_are_inverses(name, seed):
+    vehicle = FULL[name]
+    state = random_state(vehicle, seed)
+    nu_dot = np.random.default_rng(seed + 1).normal(size=6) * vehicle.free
+    back = there_and_back(vehicle, state, jnp.asarray(nu_dot), jnp.asarray(3.0))
+    assert np.abs(np.asarray(back) - nu_dot).max() < 1e-10  # rounding of some hundred newtons
+
+
+@hypothesis.given(SEEDS)
+@hypothesis.settings(max_examples=25)
+def test_accelerations_are_those_of_the_independent_plant(seed):
+    """At one instant, with effects of every stage that the equations of motion have."""
+    rng = np.random.default_rng(seed)
+    vehicle = packaged("tethra")
+    current = dict(zip(("north", "east", "down"), rng.normal(size=3), strict=True))
+    load = dict(zip(("x", "y", "z"), rng.normal(size=3), strict=True))
+    load |= {"mass": 12.0, "volume": 0.01}
+    effects = [
+        blind.Effect("steady_current", None, current),
+        blind.Effect("payload", None, load),
+        blind.Effect("tether_drag", None, {"coefficient": 30.0}),
+        blind.Effect("inflow_loss", None, {"per_speed": 0.2}),
+    ]
+    (start, rows), thrust = random_start(vehicle, seed, speed=1.0), rng.normal(size=4)
+    model = blind.Model(independent("tethra"), effects)
+    expected = model.derivative(0.0, rows, thrust[:, None], 0.0)[6:12, 0]
+    got = accelerate(
+        jnp.asarray(list(current.values())),
+        jnp.asarray([load[k] for k in ("mass", "volume", "x", "y", "z")]),
+        start,
+        jnp.asarray(thrust),
+    )
+    assert np.allclose(got, expected, rtol=1e-11, atol=1e-11)
+
+
+@jax.jit
+def accelerate(current, load, start, thrust):
+    vehicle = packaged("tethra")
+    by_name = {cls.name: cls for cls in CATALOGUE}
+    others = {"tether_drag": {"coefficient": 30.0}, "inflow_loss": {"per_speed": 0.2}}
+    extra = [SteadyCurrent(*current), Payload(*load)]
+    extra += [
+        place(by_name[name].suspects(vehicle)[0], vehicle, value) for name, value in others.items()
+    ]
+    drive = Input(thrust, jnp.zeros(4), jnp.zeros(6), jnp.zeros(()))
+    return vehicle.plant(extra=extra).acceleration(start, drive)
+
+
+def test_locked_axes_take_no_part():
+    vehicle = FULL["cybership2"]
+    state, locked = random_state(vehicle, 5), vehicle.free == 0
+    drive = Input(jnp.ones(3), jnp.ones(3), jnp.ones(6), jnp.asarray(1.0))
+    assert np.array_equal(forward_dynamics(vehicle, state, drive)[locked], np.zeros(3))
+    # Nor do they change what the free ones do: another roll inertia is not felt.
+    heavier = eqx.tree_at(
+        lambda v: v.body.matrix, vehicle, vehicle.body.matrix.at[3, 3].multiply(7.0)
+    )
+    assert np.array_equal(
+        forward_dynamics(vehicle, state, drive), forward_dynamics(heavier, state, drive)
+    )
+
+
+def test_the_mass_matrix_is_that_of_the_file():
+    vehicle = packaged("bluerov2_heavy")
+    plant = vehicle.plant()
+    assert np.allclose(plant.inverse_mass @ vehicle.mass_matrix, np.eye(6), atol=1e-12)
+
+
+# --- effects in a vehicle ---------------------------------------------------------------------
+
+
+def test_effects_act_in_the_catalogues_order_whatever_the_order_of_finding():
+    vehicle = packaged("tethra")
+    one = jnp.asarray
+    effects = [
+        Placed(VelocityInEarthAxes(one(0.7))),
+        Placed(VelocityScale(one(1.2))),
+        Placed(VelocityLeverArm(one(0.5), one(-0.2), one(0.3))),
+        Placed(Payload(one(5.0), one(0.02), one(0.3), one(0.1), one(-0.4))),
+        Placed(Buoyancy(one(30.0))),
+    ]
+    state, nu_dot = random_state(vehicle, 8), jnp.arange(6.0)
+    drive = Input(jnp.ones(4), jnp.zeros(4), jnp.zeros(6), one(0.0))
+    shown = [
+        (plant.readings(state, nu_dot), plant.acceleration(state, drive))
+        for plant in (vehicle.place(*effects).plant(), vehicle.place(*effects[::-1]).plant())
+    ]
+    for a, b in zip(*shown, strict=True):
+        assert np.array_equal(a, b)
+    # And as the contract has it: lever arm, then scale, then earth axes.
+    turn = np.asarray(vehicle.plant()._motion(state, drive).rotation)
+    nu = np.asarray(state.velocity)
+    v = 1.2 * (nu[:3] + np.cross(nu[3:], [0.5, -0.2, 0.3]))
+    assert np.allclose(shown[0][0][6:9], 0.3 * v + 0.7 * turn @ v, rtol=1e-13)
+
+
+def test_a_closed_gate_is_a_vehicle_without_the_effect():
+    vehicle = packaged("tethra")
+    late = vehicle.place(
+        *(dataclasses.replace(p, since=10.0) for p in with_all(vehicle).placed)
+    )
+    state, drive = random_state(late, 3), Input(jnp.ones(4), jnp.ones(4), jnp.ones(6), jnp.ones(()))
+    none, every = jnp.zeros(len(late.placed)), jnp.ones(len(late.placed))
+    plain, closed, opened = vehicle.plant(), late.plant(none), late.plant(every)
+    expected = plain.acceleration(state, drive)
+    assert np.allclose(closed.acceleration(state, drive), expected, rtol=1e-12, atol=1e-13)
+    expected = with_all(vehicle).plant().acceleration(state, drive)
+    assert np.allclose(opened.acceleration(state, drive), expected, rtol=1e-12, atol=1e-13)
+
+
+def test_wrong_shapes_are_refused():
+    vehicle = packaged("tethra")
+    with pytest.raises(ValueError, match="added_mass"):
+        dataclasses.replace(vehicle, added_mass=jnp.zeros((6, 5)))
+
+
+def test_everything_has_a_finite_derivative_at_rest():
+    vehicle = packaged("tethra")
+    state = initial_state(vehicle.place(*(Placed(cls.neutral(vehicle)) for cls in CATALOGUE)))
+
+    def accelerate(velocity, families):
+        moving = dataclasses.replace(state, velocity=velocity)
+        drive = Input(jnp.zeros(4), jnp.zeros(4), jnp.zeros(6), jnp.zeros(()))
+        plant = vehicle.plant(extra=families)
+        return plant.readings(moving, plant.acceleration(moving, drive))
+
+    families = tuple(cls.neutral(vehicle) for cls in CATALOGUE)
+    slopes = jax.jit(jax.jacrev(accelerate, argnums=(0, 1)))(jnp.zeros(6), families)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+def test_a_missing_vehicle_file_is_said_so():
+    with pytest.raises(InputError):
+        load_vehicle(packaged_vehicle("nobodys"))
