@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ._types import CHANNELS, Times
 from .logs import Log
@@ -52,7 +52,9 @@ _TERM = diffrax.ODETerm(_rates)
 def hold(plant: Plant, state: State, drive: Input, dt) -> State:
     """The state after one hold of length `dt` [s], by one step of the classical Runge-Kutta method."""
     # "lax" keeps the stages differentiable in forward mode.
-    after, *_ = RungeKutta4(scan_kind="lax").step(_TERM, drive.t, drive.t + dt, state, (plant, drive), False, True)
+    after, *_ = RungeKutta4(scan_kind="lax").step(
+        _TERM, drive.t, drive.t + dt, state, (plant, drive), False, True
+    )
     return after
 
 
@@ -71,7 +73,9 @@ class Trajectory(eqx.Module):
         return self.channels[:, CHANNELS.index(channel)]
 
 
-def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np.ndarray, "times placed"]:
+def gates(
+    vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()
+) -> Float[np.ndarray, "times placed"]:
     """1 where a placed effect acts at a sample of the log, else 0.
 
     An effect with `since` acts from that time on in the log that it names (in any log, where it
@@ -88,7 +92,9 @@ def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np
     return out
 
 
-def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6) -> State:
+def initial_state(
+    vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6
+) -> State:
     """A state from position [m], roll, pitch, yaw [rad] and body velocities [m/s, rad/s]."""
     memory = 6 if vehicle.plant().has_memory else 0
     return State(
@@ -136,7 +142,9 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
 
 
 @eqx.filter_jit
-def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int):
+def _roll_out(
+    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int
+):
     plants = jax.vmap(vehicle.plant)(acting)
     over, at = inputs(jax.tree.map(lambda a: a[segment], plants), t, commands, wrench)
 
@@ -189,5 +197,13 @@ def simulate(
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
     split = substeps(vehicle, log.dt)
     return _roll_out(
-        vehicle, jnp.asarray(acting), jnp.asarray(segment.ravel()), start, jnp.asarray(log.t), commands, wrench, solver, split
+        vehicle,
+        jnp.asarray(acting),
+        jnp.asarray(segment.ravel()),
+        start,
+        jnp.asarray(log.t),
+        commands,
+        wrench,
+        solver,
+        split,
     )

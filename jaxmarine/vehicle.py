@@ -11,17 +11,16 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._errors import InputError
 from ._types import DOFS, Matrix6, Quaternion, Vector3, Velocity, Wrench
 from .effects import (
     CATALOGUE,
     AbstractEffect,
     DriveEffect,
+    FluidMemory,
     LoadEffect,
     Motion,
     Readings,
@@ -30,7 +29,6 @@ from .effects import (
     WrenchEffect,
     blend,
 )
-from .effects import FluidMemory
 from .physics import (
     Drive,
     Load,
@@ -41,7 +39,6 @@ from .physics import (
     rotation,
     to_euler,
 )
-
 
 _ORDER = {effect: place for place, effect in enumerate(CATALOGUE)}
 
@@ -166,7 +163,9 @@ class Vehicle(eqx.Module):
         """The vehicle with more effects in it."""
         return dataclasses.replace(self, placed=(*self.placed, *placed))
 
-    def plant(self, gates: Float[Array, " placed"] | None = None, extra: Sequence[AbstractEffect] = ()) -> "Plant":
+    def plant(
+        self, gates: Float[Array, " placed"] | None = None, extra: Sequence[AbstractEffect] = ()
+    ) -> "Plant":
         """The vehicle while each placed effect acts (gate 1) or does not (0); None: all act.
 
         `extra` are effects that act besides those placed; the diagnosis puts its suspicions there.
@@ -267,7 +266,9 @@ class Plant(eqx.Module):
         motion = self._motion(state, drive)
         omega = state.velocity[3:]
         current = apply(motion.rotation.T, self.water)
-        relative_dot = nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
+        relative_dot = (
+            nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
+        )
         along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
         thrust = drive.thrust * (1.0 - self.drive.inflow * along)
         out = (

@@ -14,7 +14,6 @@ from .networks import LearnedWrench, MLPDamping, signals_known
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
 
-
 _LEARNED = (LearnedWrench.name, MLPDamping.name)
 
 
@@ -22,26 +21,34 @@ def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -
     """The catalogue's suspect of that effect and target; ValueError says what there is instead."""
     by_name = {cls.name: cls for cls in catalogue}
     if effect not in by_name:
-        raise ValueError(f"names `{effect}`, which is no known effect; {did_you_mean(effect, by_name)}")
+        raise ValueError(
+            f"names `{effect}`, which is no known effect; {did_you_mean(effect, by_name)}"
+        )
     suspects = by_name[effect].suspects(craft)
     for suspect in suspects:
         if suspect.target == target:
             return suspect
     targets = ", ".join(str(suspect.target) for suspect in suspects)
     if not suspects:
-        raise ValueError(f"is `{effect}`, which this vehicle's free axes and thrusters do not allow.")
+        raise ValueError(
+            f"is `{effect}`, which this vehicle's free axes and thrusters do not allow."
+        )
     raise ValueError(f"has the target `{target}`, but `{effect}` takes one of: {targets}.")
 
 
 def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
     if entry.effect == LearnedWrench.name:
         if entry.target not in file.dof:
-            raise ValueError(f"has the target `{entry.target}`, but must name a free axis: {', '.join(file.dof)}.")
+            raise ValueError(
+                f"has the target `{entry.target}`, but must name a free axis: {', '.join(file.dof)}."
+            )
         if entry.arrays is None or not entry.inputs:
             raise ValueError("is a learned term and needs `arrays` and `inputs`.")
         for name in entry.inputs:
             if not signals_known(name, file.thruster_names):
-                raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
+                raise ValueError(
+                    f"has the input `{name}`, which is neither a signal nor a thruster."
+                )
         return
     if entry.effect == MLPDamping.name:
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
@@ -75,7 +82,10 @@ def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
         thrusters=Thrusters(
             position=column("position", (3,)),
             direction=column("direction", (3,)),
-            **{name: column(name) for name in ("max_thrust", "deadband", "lag", "delay", "saturation")},
+            **{
+                name: column(name)
+                for name in ("max_thrust", "deadband", "lag", "delay", "saturation")
+            },
         ),
         density=number(file.environment.density),
         gravity=number(file.environment.gravity),
@@ -111,7 +121,9 @@ def load_vehicle(
                     )
             except ValueError as error:
                 raise InputError(f"{path}: `effect[{number}]` {error}") from error
-            used = {name: value for name, value in entry.parameters.items() if name in suspect.slots}
+            used = {
+                name: value for name, value in entry.parameters.items() if name in suspect.slots
+            }
             effect = place(suspect, vehicle, used)
         placed.append(Placed(effect, entry.target, entry.since, entry.since_log))
     return vehicle.place(*placed)
@@ -122,9 +134,7 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(
-    path: Path, entry: EffectEntry, file: VehicleFile
-) -> LearnedWrench | MLPDamping:
+def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedWrench | MLPDamping:
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
@@ -204,6 +214,3 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
 def packaged_vehicle(name: str) -> Path:
     """The file of a vehicle that comes with the package, such as `tethra`."""
     return Path(__file__).parent / "vehicles" / f"{name}.toml"
-
-
-

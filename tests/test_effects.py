@@ -1,4 +1,4 @@
-"""Every effect of the catalogue: neutral value, derivative, the independent plant's equation, files."""
+"""Every effect: neutral value, derivative, the independent plant's equation, files."""
 
 import dataclasses
 import functools
@@ -78,7 +78,7 @@ def test_names_are_unique_and_every_vehicle_has_its_suspects():
 @every_accusation
 def test_suspects_fill_the_parameters_that_they_name(cls, name):
     vehicle = packaged(name)
-    neutral, unravel = jax.flatten_util.ravel_pytree(cls.neutral(vehicle))
+    neutral, _ = jax.flatten_util.ravel_pytree(cls.neutral(vehicle))
     seen = set()
     for suspect in cls.suspects(vehicle):
         assert suspect.effect is cls and suspect.label not in seen
@@ -164,7 +164,8 @@ def slopes(name: str):
         for e in step * np.eye(len(theta))
     ]
     sizes = [sum(np.size(leaf) for leaf in jax.tree.leaves(family)) for family in families]
-    columns = dict(zip(CATALOGUE, np.split(np.arange(len(theta)), np.cumsum(sizes)[:-1])))
+    own = np.split(np.arange(len(theta)), np.cumsum(sizes)[:-1])
+    columns = dict(zip(CATALOGUE, own, strict=True))
     return exact, np.array(between).T, columns
 
 
@@ -187,7 +188,7 @@ FINE = np.arange(400) * 0.025
 
 @functools.cache
 def catalogued(name: str) -> tuple[Vehicle, np.ndarray, object]:
-    """The vehicle with the whole catalogue in it, so that one compiled program serves all effects."""
+    """The vehicle with the whole catalogue: one compiled program serves all effects."""
     vehicle = packaged(name)
     whole = vehicle.place(*(Placed(cls.neutral(vehicle)) for cls in CATALOGUE))
     commands = random_commands(vehicle, len(FINE), 20, seed=5)
@@ -218,7 +219,7 @@ def test_effects_are_those_of_the_independent_plant(cls, name):
     felt = np.abs(unwrapped(expected - plain) / noise).max()
     error = np.abs(unwrapped(track.channels - expected) / noise)
     assert felt > 1.0
-    # In units of the sensors' noise. Runge-Kutta at 0.025 s; a lag's thrust is averaged over a hold.
+    # In units of the sensors' noise. Runge-Kutta at 0.025 s; a lag's thrust is averaged over it.
     assert error[:, :12].max() < (0.06 if cls.name == "thruster_lag" else 2e-3)
     assert error.max() < (0.3 if cls.name == "thruster_lag" else 0.05)
 

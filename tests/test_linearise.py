@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxmarine._types import CHANNELS
-from jaxmarine.effects import CATALOGUE, AbstractEffect
+from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
 from jaxmarine.fitting import Problem, cut, linearise, predict, start_precision
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Placed, Plant, Vehicle
@@ -38,7 +38,6 @@ class Case:
     theta: np.ndarray
     spread: np.ndarray
     names: tuple[str, ...]  # of the parameters
-    label: str
 
 
 def parameter_names(families) -> tuple[str, ...]:
@@ -51,11 +50,15 @@ def parameter_names(families) -> tuple[str, ...]:
 
 
 @functools.cache
-def case(name: str, segments: int, logs: int, noise_of_log: float) -> Case:
-    """Windows of simulated logs, and parameters near the neutral ones."""
+def case(name: str, segments: int, logs: int) -> Case:
+    """Windows of simulated logs without noise, and parameters near the neutral ones.
+
+    With one segment the logs are of these very parameters, and the sensors true, so that the fluid
+    memory, which follows the logged velocity, is that of the prediction.
+    """
     vehicle = packaged(name)
     families = tuple(cls.neutral(vehicle) for cls in CATALOGUE)
-    neutral, _ = jax.flatten_util.ravel_pytree(families)
+    neutral, unravel = jax.flatten_util.ravel_pytree(families)
     names = parameter_names(families)
     rng = np.random.default_rng(1)
     theta = np.asarray(neutral) + 0.02 * rng.normal(size=(segments, len(neutral)))
@@ -63,19 +66,23 @@ def case(name: str, segments: int, logs: int, noise_of_log: float) -> Case:
     one_sided = [i for i, n in enumerate(names) if n.split(".")[0] in ("deadband", "input_delay")]
     theta[:, one_sided] = np.abs(theta[:, one_sided]) + 0.01
     theta[:, names.index("thruster_lag.time_constant[0]")] = 0.1
-    recordings = []
-    noise = independent(name).noise
+    if segments == 1:
+        sensing = {cls.name for cls in CATALOGUE if issubclass(cls, SensorEffect)}
+        true = [i for i, n in enumerate(names) if n.split(".")[0] in sensing]
+        theta[:, true] = np.asarray(neutral)[true]
+    effects = unravel(jnp.asarray(theta[0])) if segments == 1 else families
+    whole = vehicle.place(*(Placed(effect) for effect in effects))
+
     t = DT * np.arange(round(3 * LENGTH / DT))
+    recordings = []
     for g in range(logs):
         commands = random_commands(vehicle, len(t), 10, seed=g)
         start, _ = random_start(vehicle, g, speed=0.2)
-        whole = vehicle.place(*(Placed(cls.neutral(vehicle)) for cls in CATALOGUE))
         start = dataclasses.replace(start, memory=start.velocity)
-        shown = np.array(simulate(whole, log_of(vehicle, t, commands), start).channels)
-        shown += noise_of_log * noise * rng.normal(size=shown.shape)
+        shown = simulate(whole, log_of(vehicle, t, commands), start).channels
         recordings.append(log_of(vehicle, t, commands, channels=shown, name=f"{g}.csv"))
     acting = [np.minimum(np.arange(len(t)) // 45 + g, segments - 1) for g in range(logs)]
-    data = cut(vehicle, recordings, noise, LENGTH, segments=acting)
+    data = cut(vehicle, recordings, independent(name).noise, LENGTH, segments=acting)
     problem = Problem(
         Saturated(vehicle, families),
         data.records,
@@ -84,10 +91,8 @@ def case(name: str, segments: int, logs: int, noise_of_log: float) -> Case:
         True,
     )
     # Each parameter acts in some segments and not in others.
-    acts = rng.random((segments, len(neutral))) < 0.7
-    acts[-1] = True
-    spread = np.eye(len(neutral))[None] * (acts if segments > 1 else np.ones(acts.shape))[:, None, :]
-    return Case(problem, theta, spread, names, f"{name}-{segments}-{logs}")
+    acts = (rng.random((segments, len(neutral))) < 0.7) | (np.arange(segments)[:, None] == 0)
+    return Case(problem, theta, np.eye(len(neutral))[None] * acts[:, None, :], names)
 
 
 @eqx.filter_jit
@@ -108,14 +113,14 @@ def by_forward_mode(problem, theta, spread, delta):
     return residuals(z, move), by_move, by_z
 
 
-CASES = [("tethra", 1, 1), ("cybership2", 1, 2), ("tethra", 3, 2)]
+CASES = [("tethra", 1, 1), ("cybership2", 3, 2)]
 
 
 @functools.cache
-def both(name: str, segments: int, logs: int, noise: float = 0.0):
+def both(name: str, segments: int, logs: int):
     """Statistics by the recursion, and residuals with Jacobians by forward mode."""
-    this = case(name, segments, logs, noise)
-    delta = 0.01 * np.random.default_rng(3).normal(size=(this.problem.windows.count, 12))
+    this = case(name, segments, logs)
+    delta = 1e-3 * np.random.default_rng(3).normal(size=(this.problem.windows.count, 12))
     arguments = [jnp.asarray(a) for a in (this.theta, this.spread, delta)]
     stats = jax.tree.map(np.asarray, by_recursion(this.problem, *arguments))
     exact = tuple(np.asarray(a) for a in by_forward_mode(this.problem, *arguments))
@@ -126,22 +131,21 @@ def both(name: str, segments: int, logs: int, noise: float = 0.0):
 def test_statistics_are_those_of_forward_mode(name, segments, logs):
     this, delta, stats, (residual, by_move, by_z) = both(name, segments, logs)
     precision = np.asarray(this.problem.start_precision)
-    tuned = np.array(["fluid_memory.time_constant" in n for n in this.names])
     lagging = np.array([n.startswith("fluid_memory") for n in this.names])
     chi2 = (residual**2).sum(1) + (precision * delta**2).sum(1)
     length = np.sqrt(chi2)
-    # Fluid memory follows the measured velocity in the one and the simulated one in the other.
     assert np.abs(stats.chi2 - chi2).max() < 0.02 * chi2.max()
 
     size_x = np.sqrt(np.einsum("wrx,wrx->wx", by_move, by_move) + precision)
     size_z = np.sqrt(np.einsum("wrz,wrz->wz", by_z, by_z))
-    scale = size_z.max(0)
-    assert (scale[~lagging] > 0).sum() > 0.5 * len(scale)
+    # All that can be accused is felt; on locked axes the rest is not.
+    accused = [s for cls in CATALOGUE for s in cls.suspects(packaged(name))]
+    assert (size_z.max(0) > 0).sum() >= sum(len(s.slots) for s in accused) - len(accused)
 
     def off(got, exact, left, right):
-        """Differences as parts of the Jacobian columns' lengths; 0 where there is no column."""
+        """Differences per z, as parts of the lengths of the Jacobian's columns."""
         bound = left[:, :, None] * right[:, None, :]
-        return np.abs(got - exact) / np.where(bound > 0, bound, np.inf)
+        return (np.abs(got - exact) / np.where(bound > 0, bound, np.inf)).max((0, 1))
 
     x_x = np.einsum("wrx,wry->wxy", by_move, by_move) + np.diag(precision)[None]
     x_z = np.einsum("wrx,wrz->wxz", by_move, by_z)
@@ -149,33 +153,34 @@ def test_statistics_are_those_of_forward_mode(name, segments, logs):
     g_x = np.einsum("wrx,wr->wx", by_move, residual) + precision * delta
     g_z = np.einsum("wrz,wr->wz", by_z, residual)
     one = length[:, None]
-    rest = ~tuned
-    report = {
-        "x_x": off(stats.h_xx, x_x, size_x, size_x).max((0, 1)),
-        "x_z": off(stats.h_xz, x_z, size_x, size_z).max((0, 1)),
-        "z_z": off(stats.h_zz, z_z, size_z, size_z)[:, rest].max((0, 1)),
-        "g_x": off(stats.g_x[..., None], g_x[..., None], size_x, one).max((0, 2)),
-        "g_z": off(stats.g_z[..., None], g_z[..., None], size_z, one).max((0, 2)),
-    }
-    for what, error in report.items():
-        worst = error
-        if what in ("x_z", "z_z", "g_z"):
-            # The lag's own derivative leaves out how its velocity depends on it.
-            assert error[tuned].max() < 0.2, what
-            worst = np.where(tuned, 0.0, error)
-        place = int(worst.argmax())
-        label = this.names[place] if len(worst) == len(this.names) else place
-        # An error of the order of dt^2 times the change of the dynamics within a step.
-        assert worst[place] < 0.01, (what, label)
+    # An error of the order of dt^2 times the change of the dynamics within a step.
+    assert off(stats.h_xx, x_x, size_x, size_x).max() < 0.01
+    assert off(stats.g_x[:, None], g_x[:, None], one, size_x).max() < 0.01
+    known = ~lagging
+    for what, error in {
+        "h_xz": off(stats.h_xz, x_z, size_x, size_z),
+        "h_zz": off(stats.h_zz[:, known], z_z[:, known], size_z[:, known], size_z),
+        "g_z": off(stats.g_z[:, None], g_z[:, None], one, size_z),
+    }.items():
+        worst = int(np.where(lagging, 0.0, error).argmax())
+        assert error[worst] < 0.02, (what, this.names[worst])
+        # Fluid memory follows the logged velocity in the one and the predicted one in the other,
+        # which is the same only where the log is of these very parameters; the lag's own slope,
+        # taken along the log, is rougher still.
+        if segments == 1:
+            gains = np.array([n.startswith("fluid_memory.gain") for n in this.names])
+            assert error[gains].max() < 0.3 and error[lagging].max() < 0.5, what
 
 
 def test_elimination_is_that_of_the_whole_problem():
     """Each window's initial state is eliminated exactly: a Schur complement."""
-    _, _, stats, _ = both("cybership2", 1, 2)
+    _, _, stats, _ = both(*CASES[0])
     chi2, g, h = (np.asarray(a) for a in jax.tree.map(jnp.asarray, stats).reduced())
     for w in range(len(chi2)):
         solved = np.linalg.solve(stats.h_xx[w], np.column_stack([stats.g_x[w], stats.h_xz[w]]))
-        assert chi2[w] == pytest.approx(stats.chi2[w] - stats.g_x[w] @ solved[:, 0], rel=1e-6)
+        assert chi2[w] == pytest.approx(
+            stats.chi2[w] - stats.g_x[w] @ solved[:, 0], abs=1e-7 * stats.chi2[w]
+        )
         size = np.abs(stats.h_zz[w]).max()
         assert np.allclose(g[w], stats.g_z[w] - stats.h_xz[w].T @ solved[:, 0], atol=1e-6 * size)
         assert np.allclose(h[w], stats.h_zz[w] - stats.h_xz[w].T @ solved[:, 1:], atol=1e-6 * size)
@@ -183,7 +188,7 @@ def test_elimination_is_that_of_the_whole_problem():
 
 def test_predictions_are_those_of_a_simulation():
     """A window's prediction is the stretch of a simulation that begins in its state."""
-    this = case("tethra", 1, 1, 0.0)
+    this = case("tethra", 1, 1)
     records, windows = this.problem.records, this.problem.windows
     vehicle, families = this.problem.plant_of.vehicle, this.problem.plant_of.families
     theta, _ = jax.flatten_util.ravel_pytree(families)

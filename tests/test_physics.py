@@ -1,5 +1,7 @@
 """Classical terms against closed forms, scipy, point masses and brute force."""
 
+import itertools
+
 import equinox as eqx
 import hypothesis
 import hypothesis.strategies as st
@@ -219,9 +221,7 @@ def drive_of(samples: int, **constants) -> Drive:
     """Two thrusters with the same constants at every sample."""
     values = PLAIN | constants
     return Drive(
-        **{
-            name: jnp.broadcast_to(jnp.asarray(values[name], float), (samples, 2)) for name in NAMES
-        }
+        **{name: jnp.broadcast_to(jnp.asarray(values[name], float), (samples, 2)) for name in NAMES}
     )
 
 
@@ -237,7 +237,7 @@ def brute_force(t, commands, parts=400, **constants):
     ends = np.append(t, 2 * t[-1] - t[-2])
     lag = np.broadcast_to(np.asarray(k["lag"], float), (2,))
     means, at, state = [], [], None
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
+    for first, last in itertools.pairwise(ends):
         h = (last - first) / parts
         total = np.zeros(2)
         for part in range(parts):

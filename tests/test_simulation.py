@@ -64,7 +64,9 @@ def stepped(vehicle, start, parts: int):
     nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.zeros(()))
 
     def sample(state, _):
-        after = jax.lax.fori_loop(0, parts, lambda _, s: hold(plant, s, nothing, 0.1 / parts), state)
+        after = jax.lax.fori_loop(
+            0, parts, lambda _, s: hold(plant, s, nothing, 0.1 / parts), state
+        )
         return after, state.velocity
 
     return jax.jit(lambda start: jax.lax.scan(sample, start, None, length=41)[1])(start)
@@ -167,9 +169,9 @@ def test_waves_go_on_within_a_hold():
 def test_a_wrench_drives_like_the_thrusters_that_make_it():
     vehicle = packaged("tethra")
     commands = random_commands(vehicle, 60, 5, seed=1)
-    wrench = (
-        np.asarray(commands) * np.asarray(vehicle.thrusters.max_thrust)
-    ) @ np.asarray(vehicle.plant().allocation).T
+    wrench = (np.asarray(commands) * np.asarray(vehicle.thrusters.max_thrust)) @ np.asarray(
+        vehicle.plant().allocation
+    ).T
     start, _ = random_start(vehicle, 2)
     by_thrust = simulate(vehicle, log_of(vehicle, T[:60], commands), start)
     by_wrench = simulate(vehicle, log_of(vehicle, T[:60], wrench=wrench), start)
@@ -220,9 +222,7 @@ def loop_by_scipy(vehicle, wrench, until):
     def rates(t, s):
         turn, nu = s[3:12].reshape(3, 3), s[12:]
         f_g, f_b = other.weight * turn[2], -other.buoyancy * turn[2]
-        restoring = np.concatenate(
-            [f_g + f_b, np.cross(other.cog, f_g) + np.cross(other.cob, f_b)]
-        )
+        restoring = np.concatenate([f_g + f_b, np.cross(other.cog, f_g) + np.cross(other.cob, f_b)])
         force = wrench + restoring - other.linear @ nu - other.quadratic @ (np.abs(nu) * nu)
         force -= blind.coriolis(mass, nu)
         x, y, z = nu[3:]
@@ -230,7 +230,7 @@ def loop_by_scipy(vehicle, wrench, until):
         return np.concatenate([turn @ nu[:3], (turn @ spin).ravel(), inverse @ force])
 
     start = np.concatenate([np.zeros(3), np.eye(3).ravel(), np.zeros(6)])
-    out = solve_ivp(rates, (0, until), start, t_eval=T[T <= until], rtol=1e-10, atol=1e-12)
+    out = solve_ivp(rates, (0, until), start, t_eval=T, rtol=1e-10, atol=1e-12)
     return out.y.T
 
 
@@ -267,7 +267,7 @@ def test_locked_axes_never_move():
 
 # --- the independent plant --------------------------------------------------------------------
 
-# One of each kind beside the file; all fit a model ship and are felt by a vehicle ten times as heavy.
+# One of each kind; all fit a model ship and are felt by a vehicle ten times as heavy.
 EVERYTHING = [
     blind.Effect("steady_current", None, {"north": 0.2, "east": -0.1}),
     blind.Effect("payload", None, {"mass": 0.5, "x": 0.1, "y": 0.05, "z": 0.0}),
@@ -361,7 +361,7 @@ def test_inputs_broadcast_constants_of_the_drive():
 
 @pytest.mark.parametrize("part", ["train", "test"])
 def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
-    """5 s predictions of a log of which nothing is hidden, initial states fitted window by window."""
+    """5 s predictions of a log that hides nothing, initial states fitted window by window."""
     folder = shared / "cases" / "nothing"
     if not folder.is_dir():
         pytest.skip("the folder ../shared has no case without a hidden effect")

@@ -112,7 +112,7 @@ def test_forward_and_inverse_dynamics_are_inverses(name, seed):
 def test_accelerations_are_those_of_the_independent_plant(seed):
     """At one instant, with effects of every stage that the equations of motion have."""
     rng = np.random.default_rng(seed)
-    vehicle = packaged("tethra")
+    vehicle = packaged("bluerov2_heavy")
     current = dict(zip(("north", "east", "down"), rng.normal(size=3), strict=True))
     load = dict(zip(("x", "y", "z"), rng.normal(size=3), strict=True))
     load |= {"mass": 12.0, "volume": 0.01}
@@ -122,8 +122,8 @@ def test_accelerations_are_those_of_the_independent_plant(seed):
         blind.Effect("tether_drag", None, {"coefficient": 30.0}),
         blind.Effect("inflow_loss", None, {"per_speed": 0.2}),
     ]
-    (start, rows), thrust = random_start(vehicle, seed, speed=1.0), rng.normal(size=4)
-    model = blind.Model(independent("tethra"), effects)
+    (start, rows), thrust = random_start(vehicle, seed, speed=1.0), rng.normal(size=8)
+    model = blind.Model(independent("bluerov2_heavy"), effects)
     expected = model.derivative(0.0, rows, thrust[:, None], 0.0)[6:12, 0]
     got = accelerate(
         jnp.asarray(list(current.values())),
@@ -136,14 +136,14 @@ def test_accelerations_are_those_of_the_independent_plant(seed):
 
 @jax.jit
 def accelerate(current, load, start, thrust):
-    vehicle = packaged("tethra")
+    vehicle = packaged("bluerov2_heavy")
     by_name = {cls.name: cls for cls in CATALOGUE}
     others = {"tether_drag": {"coefficient": 30.0}, "inflow_loss": {"per_speed": 0.2}}
     extra = [SteadyCurrent(*current), Payload(*load)]
     extra += [
         place(by_name[name].suspects(vehicle)[0], vehicle, value) for name, value in others.items()
     ]
-    drive = Input(thrust, jnp.zeros(4), jnp.zeros(6), jnp.zeros(()))
+    drive = Input(thrust, jnp.zeros(8), jnp.zeros(6), jnp.zeros(()))
     return vehicle.plant(extra=extra).acceleration(start, drive)
 
 
@@ -152,7 +152,16 @@ def test_locked_axes_take_no_part():
     state, locked = random_state(vehicle, 5), vehicle.free == 0
     drive = Input(jnp.ones(3), jnp.ones(3), jnp.ones(6), jnp.asarray(1.0))
     assert np.array_equal(forward_dynamics(vehicle, state, drive)[locked], np.zeros(3))
-    # Nor do they change what the free ones do: another roll inertia is not felt.
+    # Nor do they change what the free ones do: water that sinks past a planar vehicle is not felt,
+    # not even by the cable, whose drag grows with the whole speed; nor is another roll inertia.
+    sinking = vehicle.place(Placed(SteadyCurrent(jnp.zeros(()), jnp.zeros(()), jnp.asarray(0.5))))
+    level = initial_state(vehicle, attitude=(0, 0, 0.4), velocity=(0.3, 0.1, 0, 0, 0, 0.2))
+    assert np.allclose(
+        forward_dynamics(vehicle, level, drive),
+        forward_dynamics(sinking, level, drive),
+        rtol=1e-13,
+        atol=1e-13,
+    )
     heavier = eqx.tree_at(
         lambda v: v.body.matrix, vehicle, vehicle.body.matrix.at[3, 3].multiply(7.0)
     )
@@ -197,9 +206,7 @@ def test_effects_act_in_the_catalogues_order_whatever_the_order_of_finding():
 
 def test_a_closed_gate_is_a_vehicle_without_the_effect():
     vehicle = packaged("tethra")
-    late = vehicle.place(
-        *(dataclasses.replace(p, since=10.0) for p in with_all(vehicle).placed)
-    )
+    late = vehicle.place(*(dataclasses.replace(p, since=10.0) for p in with_all(vehicle).placed))
     state, drive = random_state(late, 3), Input(jnp.ones(4), jnp.ones(4), jnp.ones(6), jnp.ones(()))
     none, every = jnp.zeros(len(late.placed)), jnp.ones(len(late.placed))
     plain, closed, opened = vehicle.plant(), late.plant(none), late.plant(every)

@@ -3,8 +3,16 @@
 from ._diagnose import diagnose as diagnose
 from ._result import (
     Alternative as Alternative,
+)
+from ._result import (
     Diagnosis as Diagnosis,
+)
+from ._result import (
     Finding as Finding,
+)
+from ._result import (
     Gain as Gain,
+)
+from ._result import (
     Parameter as Parameter,
 )

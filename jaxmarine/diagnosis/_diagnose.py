@@ -150,7 +150,9 @@ def _speed(logs: Sequence[Log]) -> float:
 
 
 def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
-    noise = np.nanmedian(np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs]), axis=0)
+    noise = np.nanmedian(
+        np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs]), axis=0
+    )
     split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speed(logs))
     data = cut(vehicle, logs, noise, _window(logs, window), split=split)
     families, layout = saturate(vehicle, catalogue)
@@ -166,7 +168,9 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
     from .._types import SENSORS
 
     stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
-    free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
+    free = [
+        i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])
+    ]
     if not free:
         return bench
     noise = bench.noise.copy()
@@ -221,7 +225,9 @@ def _is_white(bench: Workbench, stats: Reduced, phi: float) -> bool:
     return bool(per_sample < size and phi < 1.6)
 
 
-def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]) -> int | None:
+def _stand_in(
+    bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]
+) -> int | None:
     """The member that an unknown dependence replaces best, if one does."""
     if not unknown or not model.members:
         return None
@@ -237,7 +243,11 @@ def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependenc
 def _extended(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     vehicle = bench.vehicle
     if dense:
-        change = {"added_mass": np.zeros(6), "linear_damping": np.zeros(6), "quadratic_damping": np.zeros(6)}
+        change = {
+            "added_mass": np.zeros(6),
+            "linear_damping": np.zeros(6),
+            "quadratic_damping": np.zeros(6),
+        }
         for c, z in zip(bench.base, model.z, strict=False):
             change[c.label.split(":")[0]][c.axis] = z
         vehicle = dataclasses.replace(
@@ -278,7 +288,9 @@ def _findings(
 ) -> tuple[Finding, ...]:
     std = np.sqrt(np.diag(_covariance(bench, model, stats)))
     out = []
-    for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
+    for i, (member, where) in enumerate(
+        zip(model.members, bench.slices(model.members), strict=True)
+    ):
         suspect = bench.layout.suspects[member.suspect]
         values = bench.layout.neutral_of(member.suspect) + model.z[where]
         units = suspect.effect.units
@@ -318,9 +330,15 @@ def _alternatives(
         suspect = bench.layout.suspects[trial.member.suspect]
         if trial.member.suspect == member.suspect:
             continue
-        behind = 0.5 * ((best - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, trials[0].member))
+        behind = 0.5 * (
+            (best - trial.saved) / phi
+            + penalty(bench, trial.member)
+            - penalty(bench, trials[0].member)
+        )
         close = 2 * behind < CLOSE
-        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
+        out.append(
+            Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close))
+        )
     close = [a for a in out if a.indistinguishable][:2]
     return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
 
@@ -367,7 +385,9 @@ def _recalibrated(bench: Workbench, model: Model, stats: Reduced) -> tuple[Recal
 
 
 def _same(a: Log, b: Log) -> bool:
-    return a.channels.shape == b.channels.shape and bool(np.array_equal(a.channels, b.channels, equal_nan=True))
+    return a.channels.shape == b.channels.shape and bool(
+        np.array_equal(a.channels, b.channels, equal_nan=True)
+    )
 
 
 def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, changed: bool):

@@ -35,7 +35,12 @@ def _predicted(problem, theta, delta):
 
 
 def predictions(
-    candidates: Sequence[Candidate], log: Log, noise: np.ndarray, run_in: float, split: int, segment: np.ndarray
+    candidates: Sequence[Candidate],
+    log: Log,
+    noise: np.ndarray,
+    run_in: float,
+    split: int,
+    segment: np.ndarray,
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, int]:
     """Times, predicted channels of each candidate, measured channels, and where the prediction begins.
 
@@ -54,7 +59,9 @@ def predictions(
     out = []
     for one in candidates:
         segments, size = one.theta.shape
-        plant = SaturatedPlant(one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed))))
+        plant = SaturatedPlant(
+            one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed)))
+        )
         problem = Problem(
             plant,
             data.records,
@@ -89,7 +96,13 @@ def _rms(error: np.ndarray, names: tuple[str, ...]) -> float | None:
 
 
 def gain(
-    times: np.ndarray, before: np.ndarray, after: np.ndarray, measured: np.ndarray, begin: int, noise: np.ndarray, held_out: bool
+    times: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    measured: np.ndarray,
+    begin: int,
+    noise: np.ndarray,
+    held_out: bool,
 ) -> tuple[Gain, Predictions]:
     """The gain with a bootstrap interval over starts (in blocks, since neighbours overlap)."""
     errors = [_errors(p[:, begin:].copy(), measured[:, begin:]) for p in (before, after)]
@@ -120,5 +133,12 @@ def gain(
             held_out=held_out,
             starts=starts,
         ),
-        Predictions(times, begin, measured, before, after, np.where(np.isfinite(measured).any((0, 1)), noise, np.nan)),
+        Predictions(
+            times,
+            begin,
+            measured,
+            before,
+            after,
+            np.where(np.isfinite(measured).any((0, 1)), noise, np.nan),
+        ),
     )

@@ -62,7 +62,11 @@ class Knots:
         g_k = np.einsum("wk,wkf->wf", g[:, n:], flat)
         top = np.concatenate([h[:, :n, :n], h_zk], axis=2)
         bottom = np.concatenate([np.swapaxes(h_zk, 1, 2), h_kk], axis=2)
-        return Reduced(self.stats.chi2, np.concatenate([g[:, :n], g_k], axis=1), np.concatenate([top, bottom], axis=1))
+        return Reduced(
+            self.stats.chi2,
+            np.concatenate([g[:, :n], g_k], axis=1),
+            np.concatenate([top, bottom], axis=1),
+        )
 
 
 @eqx.filter_jit
@@ -92,7 +96,9 @@ def knots(bench: Workbench, model: Model) -> Knots:
     for i, source in enumerate(bench.data.logs):
         here = log == i
         track = smooth_states(source, bench.vehicle.dof)
-        sample = np.clip(np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1)
+        sample = np.clip(
+            np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1
+        )
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
         if source.commands is not None:
@@ -104,7 +110,9 @@ def knots(bench: Workbench, model: Model) -> Knots:
     spans = np.cumsum([0.0, *[source.duration for source in bench.data.logs]])[:-1]
     signals["t"] = t + spans[log][:, None]
     signals = {name: values for name, values in signals.items() if np.ptp(values) > 1e-6}
-    turns = np.asarray(jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6])))
+    turns = np.asarray(
+        jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
+    )
     return Knots(
         stats=Reduced(chi2, g, h),
         width=len(model.z),
@@ -135,7 +143,9 @@ def missing_wrench(k: Knots) -> MissingWrench:
         h = k.stats.h[w][n:, n:][np.ix_(index, index)]
         g = k.stats.g[w][n:][index]
         scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(scale, scale)
+        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(
+            scale, scale
+        )
         wrench[w][:, free] = (-cov @ g).reshape(count, -1)
         std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
     return MissingWrench(
@@ -159,7 +169,9 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     for period in periods:
         angle = 2 * np.pi * k.t / period
         values = np.zeros((windows, count, 6, 4))
-        for j, (axis, swing) in enumerate((a, s) for a in (north, east) for s in (np.sin(angle), np.cos(angle))):
+        for j, (axis, swing) in enumerate(
+            (a, s) for a in (north, east) for s in (np.sin(angle), np.cos(angle))
+        ):
             values[:, :, :3, j] = axis * swing[:, :, None]
         stats = k.wrench(values)
         h, g = stats.h.sum(0), stats.g.sum(0)
@@ -179,6 +191,11 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
                 phase, size = phase - np.copysign(np.pi, phase), -size
             best = (
                 saved,
-                {"north": float(size[0]), "east": float(size[1]), "period": float(period), "phase": phase},
+                {
+                    "north": float(size[0]),
+                    "east": float(size[1]),
+                    "period": float(period),
+                    "phase": phase,
+                },
             )
     return best

@@ -37,7 +37,9 @@ def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
-def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -> tuple[LearnedWrench, ...]:
+def learn(
+    k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]
+) -> tuple[LearnedWrench, ...]:
     """One network per axis, fitted together on the knots' chi-square by Levenberg-Marquardt.
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
@@ -52,7 +54,9 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
     def built(key) -> tuple[LearnedWrench, ...]:
         keys = jax.random.split(key, len(found))
         return tuple(
-            learned_wrench(one.dof, one.signals, thrusters, low, high, float(size[one.axis]), key, HIDDEN)
+            learned_wrench(
+                one.dof, one.signals, thrusters, low, high, float(size[one.axis]), key, HIDDEN
+            )
             for one, (low, high), key in zip(found, ranges, keys, strict=True)
         )
 
@@ -69,14 +73,21 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
         args = (start, inputs, a, b)
         networks = tuple(term.network for term in start)
         solution = optx.least_squares(
-            residual, optx.LevenbergMarquardt(rtol=1e-5, atol=1e-5), networks, args, max_steps=80, throw=False
+            residual,
+            optx.LevenbergMarquardt(rtol=1e-5, atol=1e-5),
+            networks,
+            args,
+            max_steps=80,
+            throw=False,
         )
         error, _ = residual(solution.value, args)
         return solution.value, (error**2).sum()
 
     keys = jax.random.split(jax.random.PRNGKey(0), RESTARTS)
     data = ([jnp.asarray(x) for x in inputs], a, b)
-    values, costs = jax.jit(lambda keys, *data: jax.lax.map(lambda key: fitted(key, *data), keys))(keys, *data)
+    values, costs = jax.jit(lambda keys, *data: jax.lax.map(lambda key: fitted(key, *data), keys))(
+        keys, *data
+    )
     best = int(jnp.argmin(costs))
     start = built(keys[best])
     networks = jax.tree.map(lambda leaf: leaf[best], values)

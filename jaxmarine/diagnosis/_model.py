@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
-from ..fitting import Cut, Problem, Refined, Task, linearise, predict, refine_windows, start_precision
+from ..fitting import (
+    Cut,
+    Problem,
+    Refined,
+    Task,
+    linearise,
+    predict,
+    refine_windows,
+    start_precision,
+)
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._saturated import Layout, SaturatedPlant
@@ -146,7 +155,9 @@ class Workbench:
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
         taken = {self.layout.suspects[m.suspect].label for m in model.members if m.since is None}
-        out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
+        out = np.full(
+            self.width(model.members), 1e-8
+        )  # a trace, for what the data do not determine
         for j, c in enumerate(self.base):
             held = model.frozen or c.label in taken
             out[j] = (1e12 if held else 1.0) / c.prior**2
@@ -169,13 +180,11 @@ class Workbench:
     def start(self) -> Model:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.count, 12)), np.inf)
 
-    def refine(self, model: Model, max_steps: int = 25) -> Model:
-        """Gauss-Newton on all numbers of the model."""
+    def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-9) -> Model:
+        """Gauss-Newton on all numbers of the model, until a step promises less than `rtol` of the chi-square."""
         z = np.zeros(SLOTS)
         z[: len(model.z)] = model.z
-        out = refine_windows(
-            self.task(model), jnp.asarray(z), model.delta, max_steps
-        )
+        out = refine_windows(self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol)
         cost = float(out.cost)
         z = np.asarray(out.z)[: len(model.z)]
         return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, refined=out)
@@ -195,7 +204,10 @@ class Workbench:
         residual = np.asarray(_residuals(problem, jnp.asarray(self.theta(model)), model.delta))
         seen = np.asarray(problem.windows.weight) > 0
         with np.errstate(invalid="ignore"):
-            return np.sqrt((residual**2 * seen).sum((0, 1)) / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan))
+            return np.sqrt(
+                (residual**2 * seen).sum((0, 1))
+                / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan)
+            )
 
     def promise(self, model: Model) -> float:
         """Cost that the next Gauss-Newton step promises."""
@@ -205,13 +217,19 @@ class Workbench:
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
         return dataclasses.replace(
-            model, members=(*model.members, member), z=np.concatenate([model.z, value]), cost=np.inf, refined=None
+            model,
+            members=(*model.members, member),
+            z=np.concatenate([model.z, value]),
+            cost=np.inf,
+            refined=None,
         )
 
     def without_member(self, model: Model, which: int) -> Model:
         where = self.slices(model.members)[which]
         members = tuple(m for i, m in enumerate(model.members) if i != which)
-        return dataclasses.replace(model, members=members, z=np.delete(model.z, where), cost=np.inf, refined=None)
+        return dataclasses.replace(
+            model, members=members, z=np.delete(model.z, where), cost=np.inf, refined=None
+        )
 
     def screen(self, model: Model) -> Reduced:
         """Reduced statistics of every parameter of the catalogue at the model, then of members that begin."""
@@ -300,7 +318,9 @@ def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, .
                 place = int(np.flatnonzero(layout.columns[i][:, 0])[0])
                 axis = ("surge", "sway", "heave", "roll", "pitch", "yaw").index(str(suspect.target))
                 size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
-                out.append(Coefficient(suspect.label, axis, place, float(value[axis]), size, kind.units["value"]))
+                out.append(
+                    Coefficient(
+                        suspect.label, axis, place, float(value[axis]), size, kind.units["value"]
+                    )
+                )
     return tuple(out)
-
-

@@ -59,7 +59,9 @@ def left_out_savings(
         without = np.zeros(len(full))
         without[:n] = -solve(h_fit[:n, :n], g_fit[:n])
         for step, sign in ((full, -1.0), (without, 1.0)):
-            change = 2 * stats.g[left] @ step + np.einsum("wab,a,b->w", stats.h[left], step, step, optimize=True)
+            change = 2 * stats.g[left] @ step + np.einsum(
+                "wab,a,b->w", stats.h[left], step, step, optimize=True
+            )
             out[left] += sign * change
     return out
 

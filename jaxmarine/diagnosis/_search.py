@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..effects import Waves
-from ._model import Beginning, Member, Model, Workbench
 from ._knots import knots, wave_start
+from ._model import Beginning, Member, Model, Workbench
 from ._score import Reduced, savings, solve
 
 # Suspects refitted in a round, by what the linearisation says they would save.
@@ -68,13 +68,20 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     ratios = []
     for i in range(len(bench.layout.suspects)):
         own = bench.own(i)
-        x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
+        x = np.linalg.lstsq(
+            known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12
+        )[0]
         combined = own - known @ x
         scores = stats.g @ combined
         information = np.einsum("ij,wik,kj->j", combined, stats.h, combined, optimize=True)
         full = np.einsum("ij,wik,kj->j", own, stats.h, own, optimize=True)
         usable = information > 1e-6 * full + 1e-12
-        ratios += ((scores - scores.mean(0)) ** 2).sum(0)[usable].__truediv__(information[usable]).tolist()
+        ratios += (
+            ((scores - scores.mean(0)) ** 2)
+            .sum(0)[usable]
+            .__truediv__(information[usable])
+            .tolist()
+        )
     return max(1.0, float(np.median(ratios)))
 
 
@@ -116,10 +123,12 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     return out
 
 
-def _trial(bench: Workbench, model: Model, member: Member, value: np.ndarray | None = None) -> Trial:
+def _trial(
+    bench: Workbench, model: Model, member: Member, value: np.ndarray | None = None
+) -> Trial:
     if value is None:
         value = np.zeros(bench.layout.columns[member.suspect].shape[1])
-    fitted = bench.refine(bench.with_member(model, member, value), max_steps=20)
+    fitted = bench.refine(bench.with_member(model, member, value), max_steps=12, rtol=1e-4)
     return Trial(member, fitted, 2 * (model.cost - fitted.cost))
 
 
@@ -139,7 +148,8 @@ def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -
     step = np.zeros(len(z))
     step[held] = -z[held]
     step[rest] = -solve(
-        total[np.ix_(rest, rest)], (g.sum(0) + precision * z)[rest] + total[np.ix_(rest, held)] @ step[held]
+        total[np.ix_(rest, rest)],
+        (g.sum(0) + precision * z)[rest] + total[np.ix_(rest, held)] @ step[held],
     )
     return 2 * g @ step + np.einsum("wab,a,b->w", h, step, step, optimize=True)
 
@@ -151,7 +161,9 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
     return phi * (2 * own + 2 * np.log(tried) + 2 * MARGIN)
 
 
-def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:
+def significant(
+    bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float
+) -> bool:
     """Whether a trial saves enough, on windows in general and not by chance on a few."""
     coefficient = bench.layout.suspects[trial.member.suspect].label in {c.label for c in bench.base}
     if coefficient:
@@ -178,12 +190,16 @@ def search(
         best = max([t.saved for t in trials if np.isfinite(t.saved)], default=0.0)
         if best > PROBED:
             progress(f"round {len(rounds) + 1}: refitting the best suspects")
-            trials += [_trial(bench, model, member, value) for member, value in probes(bench, model, best)]
+            trials += [
+                _trial(bench, model, member, value) for member, value in probes(bench, model, best)
+            ]
         trials = [t for t in trials if np.isfinite(t.saved)]
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
         if not trials:
             break
-        winner = trials[0]
+        exact = bench.refine(trials[0].model)
+        winner = dataclasses.replace(trials[0], model=exact, saved=2 * (model.cost - exact.cost))
+        trials[0] = winner
         after = bench.screen(winner.model)
         phi = dispersion(bench, winner.model, after)
         accepted = significant(bench, winner, stats, after, phi)

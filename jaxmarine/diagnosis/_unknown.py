@@ -98,7 +98,9 @@ def _t(per_window: np.ndarray) -> float:
     return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
 
 
-def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
+def _best_signals(
+    ledger: _Ledger, axis: int
+) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
     signals = ledger.k.signals
 
     def saved(names: tuple[str, ...]) -> np.ndarray:
@@ -161,7 +163,9 @@ def dependences(k: Knots, phi: float, smallest: float = 0.02) -> tuple[Dependenc
     return tuple(found)
 
 
-def cost_of_removal(k: Knots, members: list[slice], found: tuple[Dependence, ...]) -> list[tuple[float, float]]:
+def cost_of_removal(
+    k: Knots, members: list[slice], found: tuple[Dependence, ...]
+) -> list[tuple[float, float]]:
     """Chi-square lost by putting each member back to neutral: as things are, and beside the dependences.
 
     A true cause costs the same in both; one that only stood in for an unknown dependence costs little

@@ -2,44 +2,103 @@
 
 from ._base import (
     AbstractEffect as AbstractEffect,
+)
+from ._base import (
     Craft as Craft,
+)
+from ._base import (
     DriveEffect as DriveEffect,
+)
+from ._base import (
     LoadEffect as LoadEffect,
+)
+from ._base import (
     Motion as Motion,
+)
+from ._base import (
     Readings as Readings,
+)
+from ._base import (
     SensorEffect as SensorEffect,
+)
+from ._base import (
     Suspect as Suspect,
+)
+from ._base import (
     WaterEffect as WaterEffect,
+)
+from ._base import (
     WrenchEffect as WrenchEffect,
+)
+from ._base import (
     blend as blend,
+)
+from ._base import (
     place as place,
 )
 from ._drive import (
     Deadband as Deadband,
+)
+from ._drive import (
     InflowLoss as InflowLoss,
+)
+from ._drive import (
     InputDelay as InputDelay,
+)
+from ._drive import (
     Saturation as Saturation,
+)
+from ._drive import (
     ThrustCurve as ThrustCurve,
+)
+from ._drive import (
     ThrusterGain as ThrusterGain,
+)
+from ._drive import (
     ThrusterLag as ThrusterLag,
 )
-from ._load import AddedMass as AddedMass, Buoyancy as Buoyancy, Payload as Payload, Trim as Trim
+from ._load import AddedMass as AddedMass
+from ._load import Buoyancy as Buoyancy
+from ._load import Payload as Payload
+from ._load import Trim as Trim
 from ._sensor import (
     GyroBias as GyroBias,
+)
+from ._sensor import (
     VelocityInEarthAxes as VelocityInEarthAxes,
+)
+from ._sensor import (
     VelocityLeverArm as VelocityLeverArm,
+)
+from ._sensor import (
     VelocityMisalignment as VelocityMisalignment,
+)
+from ._sensor import (
     VelocityScale as VelocityScale,
 )
 from ._water import SteadyCurrent as SteadyCurrent
 from ._wrench import (
     ConstantWrench as ConstantWrench,
+)
+from ._wrench import (
     CoupledDamping as CoupledDamping,
+)
+from ._wrench import (
     FluidMemory as FluidMemory,
+)
+from ._wrench import (
     HullLift as HullLift,
+)
+from ._wrench import (
     LinearDamping as LinearDamping,
+)
+from ._wrench import (
     QuadraticDamping as QuadraticDamping,
+)
+from ._wrench import (
     TetherDrag as TetherDrag,
+)
+from ._wrench import (
     Waves as Waves,
 )
 

@@ -124,7 +124,9 @@ class Trim(LoadEffect):
     units = {"x": "m", "y": "m", "z": "m"}
     confused_with = ("payload", "constant_wrench:roll", "constant_wrench:pitch")
     shown_by = "rest, and roll and pitch of some tens of degrees"
-    advice = "check where foam and ballast sit: the centre of buoyancy has moved against that of gravity"
+    advice = (
+        "check where foam and ballast sit: the centre of buoyancy has moved against that of gravity"
+    )
 
     x: Scalar
     y: Scalar
@@ -144,5 +146,6 @@ class Trim(LoadEffect):
 
     def __call__(self, load: Load) -> Load:
         shift = jnp.stack([self.x, self.y, self.z])
-        return dataclasses.replace(load, buoyancy_moment=load.buoyancy_moment + load.buoyancy * shift)
-
+        return dataclasses.replace(
+            load, buoyancy_moment=load.buoyancy_moment + load.buoyancy * shift
+        )

@@ -17,7 +17,9 @@ class ConstantWrench(WrenchEffect):
     units = {"value": "N or N m"}
     confused_with = ("buoyancy", "trim", "steady_current")
     shown_by = "rest, and roll, pitch and heading changed widely"
-    advice = "a steady push in body axes: a thruster that never stops, a bent fin, a cable under tension"
+    advice = (
+        "a steady push in body axes: a thruster that never stops, a bent fin, a cable under tension"
+    )
 
     value: Float[Array, "6"]
 
@@ -138,7 +140,12 @@ class HullLift(WrenchEffect):
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         if not free(craft, "surge"):
             return ()
-        pairs = {"Y_uv": ("sway", "sway"), "N_uv": ("yaw", "sway"), "Z_uw": ("heave", "heave"), "M_uw": ("pitch", "heave")}
+        pairs = {
+            "Y_uv": ("sway", "sway"),
+            "N_uv": ("yaw", "sway"),
+            "Z_uw": ("heave", "heave"),
+            "M_uw": ("pitch", "heave"),
+        }
         slots = {
             name: (i,)
             for i, (name, (acted, moving)) in enumerate(pairs.items())
@@ -175,7 +182,11 @@ class TetherDrag(WrenchEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return (Suspect(cls, None, {"coefficient": (0,)}),) if free(craft, "surge", "sway", "heave") else ()
+        return (
+            (Suspect(cls, None, {"coefficient": (0,)}),)
+            if free(craft, "surge", "sway", "heave")
+            else ()
+        )
 
     def __call__(self, motion: Motion) -> Wrench:
         v_r = motion.nu_r[:3]

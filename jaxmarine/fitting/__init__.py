@@ -1,25 +1,53 @@
 """From logs to parameters: windows, their linearisation, and the solvers on it."""
 
+from ._fit import Fit as Fit
+from ._fit import FitError as FitError
+from ._fit import fit as fit
+from ._fit import noise_of as noise_of
+from ._least_squares import (
+    LeastSquares as LeastSquares,
+)
+from ._least_squares import (
+    LinearSolution as LinearSolution,
+)
+from ._least_squares import (
+    least_squares as least_squares,
+)
+from ._least_squares import (
+    solve_linear as solve_linear,
+)
+from ._levenberg_marquardt import Restarts as Restarts
+from ._levenberg_marquardt import levenberg_marquardt as levenberg_marquardt
 from ._linearise import (
     Problem as Problem,
+)
+from ._linearise import (
     Statistics as Statistics,
+)
+from ._linearise import (
     linearise as linearise,
+)
+from ._linearise import (
     predict as predict,
+)
+from ._linearise import (
     start_precision as start_precision,
 )
 from ._solver import (
     Refined as Refined,
+)
+from ._solver import (
     Task as Task,
+)
+from ._solver import (
     WindowGaussNewton as WindowGaussNewton,
+)
+from ._solver import (
     refine_windows as refine_windows,
 )
-from ._windows import Cut as Cut, Records as Records, Windows as Windows, cut as cut
-from ._fit import Fit as Fit, FitError as FitError, fit as fit, noise_of as noise_of
-from ._least_squares import (
-    LeastSquares as LeastSquares,
-    LinearSolution as LinearSolution,
-    least_squares as least_squares,
-    solve_linear as solve_linear,
-)
-from ._levenberg_marquardt import Restarts as Restarts, levenberg_marquardt as levenberg_marquardt
-from ._uncertainty import Combination as Combination, Parameter as Parameter
+from ._uncertainty import Combination as Combination
+from ._uncertainty import Parameter as Parameter
+from ._windows import Cut as Cut
+from ._windows import Records as Records
+from ._windows import Windows as Windows
+from ._windows import cut as cut

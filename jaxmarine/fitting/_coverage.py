@@ -11,7 +11,7 @@ from ..logs import Log, smooth_states
 
 @dataclasses.dataclass(frozen=True)
 class AxisCoverage:
-    """Standard deviation and range of one axis' velocity [m/s, rad/s] and acceleration [m/s², rad/s²]."""
+    """Standard deviation and range of an axis' velocity and acceleration [m, rad, s]."""
 
     dof: str
     velocity_std: float
@@ -38,7 +38,7 @@ def coverage(logs: Sequence[Log], dof: Sequence[str]) -> tuple[AxisCoverage, ...
 
 
 def acceleration_of(log: Log, nu: np.ndarray) -> np.ndarray:
-    """nu' [times, 6]: where a channel is measured its samples (NaN in gaps), else the slope of `nu`."""
+    """nu' [times, 6]: samples of a measured channel (NaN in gaps), else the slope of `nu`."""
     slope = np.gradient(nu, log.t, axis=0)
     measured = log.channels[:, 12:]
     seen = np.isin(CHANNELS[12:], log.measured)

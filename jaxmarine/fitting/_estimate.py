@@ -9,8 +9,9 @@ from jaxtyping import Float
 
 from ._free import Freed, Scales
 
-# Inverse variance, per squared typical size, of a parameter without prior: a trace of curvature that
-# keeps within ten sizes what the data do not determine. Where the size is only a guess, a thousand.
+# Inverse variance, per squared typical size, of a parameter without prior: a trace of curvature
+# that keeps within ten sizes what the data do not determine. Where the size is but a guess, a
+# thousand.
 _TRACE, _FAINT_TRACE = 1e-2, 1e-6
 
 
@@ -43,10 +44,10 @@ class Estimate:
     """Where a solve ended.
 
     - `z`; `raw`: the raw numbers of `Freed` there.
-    - `scores` [groups, z]: derivative of half the chi-square of each window (or of the samples in it).
+    - `scores` [groups, z]: derivative of half the chi-square of each window.
     - `information` [groups, z, z]: that of each window, without prior.
     - `spurious` [z, z]: the part of the information that comes from noise in the regressors.
-    - `chi2` without prior, and the `freedom` (samples less everything fitted) it is to be compared with.
+    - `chi2` without prior, and its `freedom`: samples less everything that was fitted.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     """
 
@@ -70,10 +71,11 @@ class Estimate:
     def promise(self, units: Units) -> float:
         """Half the chi-square that one more undamped step promises to save."""
         g = self.scores.sum(0) + units.precision * self.z
-        return 0.5 * float(g @ np.linalg.solve(self.information.sum(0) + np.diag(units.precision), g))
+        curvature = self.information.sum(0) + np.diag(units.precision)
+        return 0.5 * float(g @ np.linalg.solve(curvature, g))
 
 
 def entries_at(freed: Freed, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The freed entries at `raw`, and their derivative with respect to it."""
-    raw = jnp.asarray(raw)
-    return np.asarray(freed.entries(raw)), np.asarray(jax.jacfwd(freed.entries)(raw))
+    at = jnp.asarray(raw)
+    return np.asarray(freed.entries(at)), np.asarray(jax.jacfwd(freed.entries)(at))

@@ -19,6 +19,8 @@ from ._one_step import fit_one_step
 from ._trajectory import fit_trajectory
 from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 
+# Half a chi-square that is not worth another step: a fifth of a standard error.
+_WITHIN_NOISE = 0.02
 # Lines of undetermined combinations that a printed fit shows.
 _SHOWN = 6
 
@@ -32,10 +34,10 @@ class Fit:
     """A fitted vehicle, and how far to trust it. `print(fit)` shows the table.
 
     - `vehicle`, and the `start` it was fitted from.
-    - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do not
-      determine.
-    - `chi2_per_sample`: chi-square per degree of freedom; 1 where noise alone is left. For the one-step loss it is
-      1 by construction, because the scatter is estimated from the residuals.
+    - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do
+      not determine.
+    - `chi2_per_sample`: chi-square per degree of freedom; 1 where noise alone is left. For the
+      one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `coverage`: the motion that the fit has seen, per free axis.
     - `loss`, `window` [s], `noise` [18]: settings that it was made with.
@@ -73,7 +75,8 @@ class Fit:
         return next(p for p in self.parameters if p.name == name)
 
     def __repr__(self) -> str:
-        return "\n".join([*_table(self.parameters), *_undetermined(self), *_coverage(self), _ending(self)])
+        lines = [*_table(self.parameters), *_undetermined(self), *_coverage(self), _ending(self)]
+        return "\n".join(lines)
 
 
 def fit(
@@ -96,16 +99,18 @@ def fit(
     $\sum_w \sum_k |(\hat y_k(p, x_w) - y_k) / \sigma|^2 + \sum_i ((p_i - p_{i,0}) / s_i)^2$.
 
     - `logs`: one or several, in the order in which they were recorded.
-    - `free`: picks leaves of the vehicle, `lambda v: (v.added_mass, v.damping.linear)`. Entries of 6x6 matrices
-      on locked axes stay; so does what an effect has besides the parameters of its target.
-    - `loss`: "trajectory" compares all measured channels over windows and is consistent under sensor noise;
-      "one_step" compares accelerations at each sample and is biased by noise in the velocities.
+    - `free`: picks leaves of the vehicle, `lambda v: (v.added_mass, v.damping.linear)`. Entries of
+      6x6 matrices on locked axes stay; so does what an effect has besides its target's parameters.
+    - `loss`: "trajectory" compares all measured channels over windows and is consistent under
+      sensor noise; "one_step" compares accelerations at each sample and is biased by noise in the
+      velocities.
     - `prior`: width relative to the start values (of an inertia: to the total mass), or standard
       deviations in the structure of `free(vehicle)`, where 0 holds an entry and inf means none.
+      A learned network needs one, as its weights are never all determined.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
     - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
     - `window` [s]: length of the windows, which for one-step are the groups of the sandwich.
-    - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle's file
+    - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle
       states, else estimated from the logs.
 
     The total mass matrix stays symmetric and positive definite, whatever is free of it.
@@ -143,7 +148,7 @@ def fit(
 
 
 def noise_of(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, "18"]:
-    """Noise per channel: stated by the vehicle, else the median of the logs' estimates; NaN: unmeasured."""
+    """Noise per channel: stated by the vehicle, else estimated from the logs; NaN: unmeasured."""
     noises = np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs])
     out = np.full(noises.shape[1], np.nan)
     seen = np.isfinite(noises).any(axis=0)
@@ -158,12 +163,16 @@ def _judged(estimate: Estimate, units: Units) -> Estimate:
         return dataclasses.replace(
             estimate, converged=False, result=f"the simulation diverged; {advice}"
         )
+    promise = estimate.promise(units)
+    if not estimate.converged and promise < _WITHIN_NOISE:
+        # It creeps along what the data do not determine.
+        return dataclasses.replace(estimate, converged=True, result="converged within the noise")
     if not estimate.converged:
         return dataclasses.replace(
             estimate,
             result=f"{estimate.result} After {estimate.steps} steps: raise `max_steps`, {advice}",
         )
-    if estimate.promise(units) > max(1.0, 1e-3 * estimate.chi2):
+    if promise > max(1.0, 1e-3 * estimate.chi2):
         return dataclasses.replace(
             estimate, converged=False, result=f"it stopped short of the minimum; {advice}"
         )
@@ -172,9 +181,11 @@ def _judged(estimate: Estimate, units: Units) -> Estimate:
 
 def _table(parameters: tuple[Parameter, ...]) -> list[str]:
     wide = max(len("parameter"), *(len(p.name) for p in parameters))
-    head = f"{'parameter':<{wide}} {'start':>11} {'value':>11} {'std model':>11} {'std windows':>11}"
+    titles = ("start", "value", "std model", "std windows")
+    head = f"{'parameter':<{wide}}" + "".join(f" {title:>11}" for title in titles)
     rows = [
-        f"{p.name:<{wide}} {p.start:>11.5g} {p.value:>11.5g} {p.std_model:>11.2g} {p.std_sandwich:>11.2g}"
+        f"{p.name:<{wide}} {p.start:>11.5g} {p.value:>11.5g}"
+        f" {p.std_model:>11.2g} {p.std_sandwich:>11.2g}"
         for p in parameters
     ]
     return [head, "-" * len(head), *rows]

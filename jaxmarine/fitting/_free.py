@@ -6,6 +6,7 @@ numbers: `Entries` takes them as they are, `Inertia` and `Dissipative` keep a ma
 
 import abc
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -81,6 +82,11 @@ class Inertia(AbstractPart):
     axes: tuple[int, ...] = eqx.field(static=True)
     lower: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """The entries among the free axes."""
+        return self.lower
+
     def __call__(self, raw: Float[Array, " own"]) -> Matrix6:
         rows, columns = np.array(self.lower).T
         factor = jnp.zeros_like(self.rest)
@@ -89,7 +95,7 @@ class Inertia(AbstractPart):
         return self.leaf.at[np.ix_(self.axes, self.axes)].set(total - self.other)
 
     def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
-        rows, columns = np.array(self.axes)[np.array(self.lower)].T
+        rows, columns = np.array(self.axes)[np.array(self.pairs)].T
         return self(raw)[rows, columns]
 
 
@@ -112,6 +118,11 @@ class Dissipative(AbstractPart):
     def _skew(self) -> tuple[tuple[int, int], ...]:
         return tuple((i, j) for i, j in self.lower if i != j)
 
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """The entries among the free axes."""
+        return *self.lower, *((j, i) for i, j in self._skew)
+
     def __call__(self, raw: Float[Array, " own"]) -> Matrix6:
         rows, columns = np.array(self.lower).T
         factor = jnp.zeros_like(self.rest).at[rows, columns].set(raw[: len(self.lower)])
@@ -123,9 +134,7 @@ class Dissipative(AbstractPart):
         return self.leaf.at[np.ix_(self.axes, self.axes)].set(matrix)
 
     def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
-        axes = np.array(self.axes)
-        places = [*self.lower, *((j, i) for i, j in self._skew)]
-        rows, columns = axes[np.array(places)].T
+        rows, columns = np.array(self.axes)[np.array(self.pairs)].T
         return self(raw)[rows, columns]
 
 
@@ -195,10 +204,11 @@ def set_free(
 ) -> tuple[Freed, Scales]:
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
-    - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero: to its typical
-      size), or standard deviations in the structure of `free(vehicle)`: 0 holds an entry, inf leaves it
-      without prior.
-    - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of locked axes.
+    - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero:
+      to its typical size), or standard deviations in the structure of `free(vehicle)`: 0 holds an
+      entry, inf leaves it without prior.
+    - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of
+      locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
     """
     places, paths = _chosen(vehicle, free)
@@ -212,15 +222,14 @@ def set_free(
         leaf, held = leaves[place], std == 0.0
         if name in ("added_mass", "body.matrix"):
             mask = _mask(vehicle, leaf, entries, True) & ~held
-            part = _symmetric(name, np.asarray(leaf), mask) if linear else _inertia(vehicle, name, mask)
+            make = functools.partial(_symmetric if linear else _inertia, vehicle)
+            part = make(name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = np.sqrt(np.outer(*[np.diag(vehicle.mass_matrix)] * 2)).ravel()[flat]
         elif name in ("damping.linear", "damping.quadratic"):
             mask = _mask(vehicle, leaf, entries, dissipative) & ~held
-            if dissipative:
-                part = _dissipative(vehicle, name, np.asarray(leaf), mask)
-            else:
-                part = _plain(name, np.asarray(leaf), mask)
+            make = functools.partial(_dissipative if dissipative else _plain, vehicle)
+            part = make(name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
         else:
@@ -230,7 +239,7 @@ def set_free(
             size = np.where(value > 0, value, 1.0)
         width = std.ravel()[flat] if not isinstance(prior, float | int) else float(prior) * size
         if (width == 0).any():
-            raise ValueError(f"`{name}`: an entry held by the prior is coupled to free ones; free it as well.")
+            raise ValueError(f"`{name}`: an entry that the prior holds is coupled to free ones.")
         parts.append(part)
         sizes.append(size)
         widths.append(width)
@@ -254,11 +263,13 @@ def _chosen(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
         chosen = jax.tree.leaves(free(structure.unflatten([_Mark(i) for i in range(len(paths))])))
     except (AttributeError, TypeError) as error:
         raise ValueError(
-            f"Argument `free` must pick leaves as they are, such as `lambda v: v.damping.linear` ({error})."
+            "Argument `free` must pick leaves as they are, such as `lambda v: v.damping.linear` "
+            f"({error})."
         ) from error
     if not chosen or not all(isinstance(mark, _Mark) for mark in chosen):
         raise ValueError(
-            "Argument `free` must return leaves of the vehicle, such as `lambda v: v.damping.linear`."
+            "Argument `free` must return leaves of the vehicle, such as "
+            "`lambda v: v.damping.linear`."
         )
     places = [mark.place for mark in chosen]
     if len(set(places)) < len(places):
@@ -275,7 +286,7 @@ def _stated(prior, leaves: list, free: Select, vehicle: Vehicle) -> list[np.ndar
         return [np.full(shape, np.inf) for shape in shapes]
     structure = jax.tree.structure(free(vehicle))
     if jax.tree.structure(prior) != structure:
-        raise ValueError(f"Argument `prior` must have the structure of `free(vehicle)`, {structure}.")
+        raise ValueError(f"Argument `prior` must be as `free(vehicle)`, {structure}.")
     stds = [np.asarray(std, float) for std in jax.tree.leaves(prior)]
     if not all((std >= 0).all() for std in stds):
         raise ValueError("Argument `prior` holds a standard deviation that is negative or NaN.")
@@ -291,7 +302,7 @@ def _mask(vehicle: Vehicle, leaf, entries: Selection, symmetric: bool) -> np.nda
         "diagonal": np.eye(6, dtype=bool),
     }
     if entries not in wanted:
-        raise ValueError(f"Argument `entries` must be all, nonzero or diagonal, but is {entries!r}.")
+        raise ValueError(f"Argument `entries` must be one of {', '.join(wanted)}, not {entries!r}.")
     mask = wanted[entries]
     if symmetric:
         mask = mask | mask.T
@@ -324,7 +335,7 @@ def _remainder(matrix: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _inertia_remainder(total: np.ndarray, fixed: np.ndarray, blocks: np.ndarray):
-    """R and P of the total. R from what is not free where that is a mass matrix, as it bounds less."""
+    """R and P of the total; R from what is not free where that is positive, as it bounds less."""
     if _positive(fixed):
         rest, _ = _remainder(fixed, blocks)
         own = np.where(blocks, total - rest, 0.0)
@@ -343,12 +354,11 @@ def _matrix_places(axes, pairs) -> np.ndarray:
     return rows * 6 + columns
 
 
-def _places_of(part: AbstractPart) -> np.ndarray:
+def _places_of(part: Entries | Inertia | Dissipative) -> np.ndarray:
     """Flat places in the leaf of a part's entries."""
     if isinstance(part, Entries):
         return np.argmax(np.asarray(part.spread), axis=0)
-    pairs = [*part.lower, *((j, i) for i, j in part.lower if i != j and isinstance(part, Dissipative))]
-    return _matrix_places(part.axes, pairs)
+    return _matrix_places(part.axes, part.pairs)
 
 
 def _damping_size(vehicle: Vehicle, leaf: np.ndarray) -> np.ndarray:
@@ -357,8 +367,7 @@ def _damping_size(vehicle: Vehicle, leaf: np.ndarray) -> np.ndarray:
     return np.maximum(np.abs(leaf), np.sqrt(np.outer(own, own)))
 
 
-def _inertia(vehicle: Vehicle, name: str, mask: np.ndarray) -> Inertia:
-    leaf = np.asarray(vehicle.added_mass if name == "added_mass" else vehicle.body.matrix)
+def _inertia(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Inertia:
     axes = np.flatnonzero(vehicle.free)
     block = np.ix_(axes, axes)
     total = np.asarray(vehicle.mass_matrix)[block]
@@ -408,20 +417,22 @@ def _dissipative(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray
     )
 
 
-def _symmetric(name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
+def _symmetric(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
+    del vehicle
     pairs = [(int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(mask)), strict=True)]
     names = [_entry(name, i, j, ",") for i, j in pairs]
     return _entries(leaf, [tuple({6 * i + j, 6 * j + i}) for i, j in pairs], names)
 
 
-def _plain(name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
-    rows, columns = np.nonzero(mask)
-    names = [_entry(name, i, j, "<-") for i, j in zip(rows, columns, strict=True)]
-    return _entries(leaf, [(6 * int(i) + int(j),) for i, j in zip(rows, columns, strict=True)], names)
+def _plain(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Entries:
+    del vehicle
+    pairs = [(int(i), int(j)) for i, j in zip(*np.nonzero(mask), strict=True)]
+    names = [_entry(name, i, j, "<-") for i, j in pairs]
+    return _entries(leaf, [(6 * i + j,) for i, j in pairs], names)
 
 
 def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndarray) -> Entries:
-    """A leaf without constraints; of an effect placed on a target only what belongs to the target."""
+    """A leaf without constraints; of an effect on a target only what belongs to the target."""
     groups, names = _of_target(vehicle, path) if path[0].name == "placed" else (None, None)
     if groups is None or names is None:
         groups = [(i,) for i in range(leaf.size)]
@@ -431,7 +442,7 @@ def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndar
 
 
 def _of_target(vehicle: Vehicle, path) -> tuple[list[tuple[int, ...]] | None, list[str] | None]:
-    """Places in the leaf that each parameter of a placed effect fills, and the parameters' names."""
+    """Places in the leaf that each parameter of a placed effect fills, and their names."""
     placed = vehicle.placed[path[1].idx]
     suspects = type(placed.effect).suspects(vehicle)
     suspect = next((s for s in suspects if s.target == placed.target), None)
@@ -455,9 +466,7 @@ def _labels(vehicle: Vehicle, name: str, leaf: np.ndarray) -> list[str]:
         return [name]
     places = list(np.ndindex(*leaf.shape))
     if name.startswith("thrusters."):
-        return [
-            f"{name}[{','.join([vehicle.thruster_names[i], *map(str, rest)])}]" for i, *rest in places
-        ]
+        places = [(vehicle.thruster_names[i], *rest) for i, *rest in places]
     return [f"{name}[{','.join(map(str, place))}]" for place in places]
 
 
@@ -468,7 +477,12 @@ def _entries(leaf: np.ndarray, groups: list[tuple[int, ...]], names: list[str]) 
     flat = leaf.ravel().astype(float)
     start = np.array([flat[group[0]] for group in groups], float)
     base = np.where(spread.any(axis=1), 0.0, flat).reshape(leaf.shape)
-    return Entries(jnp.asarray(start), jnp.asarray(base), jnp.asarray(spread), tuple(names))
+    return Entries(
+        start=jnp.asarray(start),
+        base=jnp.asarray(base),
+        spread=jnp.asarray(spread),
+        names=tuple(names),
+    )
 
 
 def _entry(name: str, row: int, column: int, between: str) -> str:

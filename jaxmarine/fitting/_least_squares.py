@@ -24,7 +24,7 @@ _INDEPENDENT = 1e-9
 
 
 class LinearSolution(eqx.Module):
-    """`values` that minimise |A p - b|², and their covariance s² (A'A)^-1, s² from the residuals."""
+    """`values` that minimise |A p - b|², and their covariance s² (A'A)^-1, s² of the residuals."""
 
     values: Float[Array, " p"]
     covariance: Float[Array, "p p"]
@@ -66,7 +66,7 @@ class LeastSquares(eqx.Module):
 
     @property
     def std_bootstrap(self) -> Float[Array, " p"]:
-        """Standard errors from the scatter over resampled windows; NaN for fewer than two samples."""
+        """Standard errors from the scatter over resampled windows; NaN for fewer than two."""
         if len(self.bootstrap) < 2:
             return jnp.full(len(self.names), jnp.nan)
         return jnp.std(self.bootstrap, axis=0, ddof=1)

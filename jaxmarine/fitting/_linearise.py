@@ -319,7 +319,9 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
 
     def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at every step of a window."""
-        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
+        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(
+            x, drive, lagged, segment
+        )
         by_z = _contract(by_theta, spread, segment) + by_thrust @ d_thrust
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
@@ -353,9 +355,15 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         """Readings at every sample of a window and their derivatives with respect to x and z."""
         segment = track.segment
         if problem.accelerations:
-            nu_dot, nu_x, nu_z = tangents(x, track.instant, track.lagged, segment, d_thrust, d_lagged)
+            nu_dot, nu_x, nu_z = tangents(
+                x, track.instant, track.lagged, segment, d_thrust, d_lagged
+            )
         else:
-            nu_dot, nu_x, nu_z = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, count))
+            nu_dot, nu_x, nu_z = (
+                jnp.zeros((steps, 6)),
+                jnp.zeros((steps, 6, 13)),
+                jnp.zeros((steps, 6, count)),
+            )
 
         def one(x, nu_dot, segment):
             sensors = _pick(chain, segment).sensors
@@ -380,7 +388,11 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
             states, track.over, track.segment
         )
         middle = 0.75 * x + 0.25 * x_after + 0.25 * track.dt[:, None] * rate
-        d_lagged = d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag if d_slow.shape[-1] else d_slow
+        d_lagged = (
+            d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag
+            if d_slow.shape[-1]
+            else d_slow
+        )
         a, b = propagators(middle, track, d_mean, d_lagged)
         value, h_x, h_z = sensed(x, track, d_at, d_lagged)
 

@@ -2,8 +2,8 @@
 
     r_k = sigma^-1 M^-1 (M nu'_k + C nu_k + D nu_k + g - tau_k)
 
-It needs no integration and is nearly linear in the parameters, but takes the measured velocities for
-true: their noise enters the regressors and pulls damping towards zero. Source: thesis, sec. 5.3.
+It needs no integration and is nearly linear in the parameters, but takes the measured velocities
+for true: their noise enters the regressors and pulls damping towards zero.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ from jaxtyping import Array, Float
 
 from .._types import CHANNELS
 from ..logs import Log, smooth_states
-from ..physics import from_euler
+from ..physics import apply, from_euler
 from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Problem, _drives, _memory, start_precision
+from ._linearise import Problem, _drives, _memory, _pick, start_precision
 from ._trajectory import segments
 from ._windows import cut
 
@@ -31,9 +31,9 @@ from ._windows import cut
 class Samples(eqx.Module):
     """The motion at every sample of every log, padded as `Records` are.
 
-    - `weight` [1/(m/s²), 1/(rad/s²)]: zero on locked axes, in gaps, and in the padding.
-    - `instant`: whether the accelerations are those at the sample, as sensors give them, or the mean
-      slope about it, as differentiated velocities are.
+    - `weight` [s²/m, s²/rad]: zero on locked axes, in gaps, and in the padding.
+    - `instant`: whether the accelerations are those at the sample, as sensors give them, or the
+      mean slope about it, as differentiated velocities are.
     """
 
     position: Float[Array, "logs steps 3"]
@@ -53,11 +53,14 @@ class OneStep(eqx.Module):
     map: Float[Array, "raw z"]
     precision: Float[Array, " z"]
     segments: int = eqx.field(static=True)
+    moving: tuple[int, ...] = eqx.field(static=True)
 
     def _at_samples(self, z: Float[Array, " z"], of: Callable[[Plant, State, Array, Input], Array]):
         """`of` the vehicle, its measured state, acceleration and input, at every sample."""
         theta = self.start + self.map @ z
-        plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
+        plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(
+            theta, jnp.arange(self.segments)
+        )
         records, samples = self.problem.records, self.samples
         mean, at = _drives(self.problem, plants.drive)
         before = jnp.concatenate([mean[:, :1], mean[:, :-1]], axis=1)
@@ -67,7 +70,7 @@ class OneStep(eqx.Module):
         drive = Input(push, records.commands, records.wrench, records.t)
 
         def one(state, acceleration, drive, segment):
-            return of(jax.tree.map(lambda a: a[segment], plants), state, acceleration, drive)
+            return of(_pick(plants, segment), state, acceleration, drive)
 
         return jax.vmap(jax.vmap(one))(states, samples.acceleration, drive, records.segment)
 
@@ -78,7 +81,7 @@ class OneStep(eqx.Module):
     def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
         return self._at_samples(
-            z, lambda plant, *sample: plant.inverse_mass @ plant.balance(*sample)
+            z, lambda plant, *sample: apply(plant.inverse_mass, plant.balance(*sample))
         )
 
     def residuals(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
@@ -116,6 +119,7 @@ def one_step(
         jnp.asarray(units.map),
         jnp.asarray(units.precision),
         len(acting.gates),
+        tuple(np.flatnonzero(vehicle.free).tolist()),
     )
 
 
@@ -133,7 +137,9 @@ def _samples(logs: Sequence[Log], dof: Sequence[str], free: np.ndarray, steps: i
         rows.append(np.pad(row, [(0, steps - len(row)), (0, 0)]))
     table = np.array(rows)
     known = table[..., 18:] > 0
-    spread = [table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)]
+    spread = [
+        table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)
+    ]
     weight = known / np.where(np.array(spread) > 0, spread, 1.0)
     return Samples(
         position=jnp.asarray(table[..., :3]),
@@ -158,11 +164,13 @@ def groups_of(logs: Sequence[Log], steps: int, window: float) -> np.ndarray:
 @eqx.filter_jit
 def _solve(task: OneStep, z, max_steps: int):
     def residual(z, task):
-        return task.residuals(z), jnp.sqrt(task.precision) * z
+        # Locked axes have no residual.
+        return task.residuals(z)[..., np.array(task.moving)], jnp.sqrt(task.precision) * z
 
     solution = optx.least_squares(
         residual,
-        optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8),
+        # In units of typical sizes and of half the chi-square: far below any standard error.
+        optx.LevenbergMarquardt(rtol=1e-6, atol=1e-5),
         z,
         task,
         max_steps=max_steps,
@@ -184,7 +192,7 @@ def fit_one_step(
     window: float,
     max_steps: int,
 ) -> Estimate:
-    """Minimises the one-step loss; a second solve weighs each axis by the scatter that the first left."""
+    """Minimises the one-step loss; a second solve weighs axes by what the first left of them."""
     task = one_step(freed, units, logs, noise)
     z, first, _ = _solve(task, jnp.zeros(len(units.precision)), max_steps)
     errors, _, _ = _slopes(task, z)
@@ -196,10 +204,14 @@ def fit_one_step(
     return _estimate(task, np.asarray(z), residual, slope, group, int(first + second), result)
 
 
-def scatter_of(errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray) -> Float[np.ndarray, "6"]:
+def scatter_of(
+    errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray
+) -> Float[np.ndarray, "6"]:
     """Root mean square per axis where known; one where an axis has no sample."""
     count = known.sum(axis=(0, 1))
-    return np.where(count > 0, np.sqrt((errors**2 * known).sum(axis=(0, 1)) / np.maximum(count, 1)), 1.0)
+    return np.where(
+        count > 0, np.sqrt((errors**2 * known).sum(axis=(0, 1)) / np.maximum(count, 1)), 1.0
+    )
 
 
 def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> Estimate:

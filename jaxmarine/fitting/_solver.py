@@ -57,8 +57,9 @@ class _State(eqx.Module):
 class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
     """Damped Gauss-Newton on `residual_statistics`; damping after Nielsen (1999), scaled by Marquardt (1963).
 
-    It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, or
-    where damping of 1e8 finds no decrease.
+    It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, where
+    damping of 1e8 finds no decrease, or after `limit` steps; `rtol` and `limit` come as options, traced,
+    so that one compiled program serves a probe and a long fit.
     """
 
     rtol: float = 1e-9
@@ -81,10 +82,12 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         )
 
     def step(self, fn, y, args: Task, options, state: _State, tags):
-        del options, tags
+        del tags
         cost, stats = fn(state.y_eval, args)
         # Where a roll-out is finite its sensitivities may not be: no step could start from there.
-        usable = jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
+        usable = (
+            jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
+        )
         cost = jnp.where(usable, cost, jnp.inf)
         better = (cost < state.cost) | state.first
         ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)
@@ -111,7 +114,7 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         off = z - args.mean
         least = 0.5 * (chi2.sum() + (args.precision * off * off).sum())
         predicted = cost - (least + g @ d_z + 0.5 * d_z @ h @ d_z)
-        small = 2 * predicted < self.atol + self.rtol * 2 * cost
+        small = 2 * predicted < self.atol + options["rtol"] * 2 * cost
         lost = ~jnp.isfinite(predicted) | (damping > 1e8)
         return (
             y,
@@ -131,16 +134,21 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
 
     def terminate(self, fn, y, args, options, state: _State, tags):
         del fn, y, args, tags
-        # The limit is a traced number, so that one compiled program serves a probe and a long fit.
         spent = state.steps >= options["limit"]
         result = optx.RESULTS.where(
-            state.terminate | ~spent, optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
+            state.terminate | ~spent,
+            optx.RESULTS.successful,
+            optx.RESULTS.nonlinear_max_steps_reached,
         )
         return state.terminate | spent, result
 
     def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
         del fn, aux, args, options, tags, result
-        return y, state.stats, {"cost": state.cost, "steps": state.steps, "predicted": state.predicted}
+        return (
+            y,
+            state.stats,
+            {"cost": state.cost, "steps": state.steps, "predicted": state.predicted},
+        )
 
 
 class Refined(eqx.Module):
@@ -159,19 +167,22 @@ class Refined(eqx.Module):
     result: optx.RESULTS
 
 
-def refine_windows(task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9) -> Refined:
+def refine_windows(
+    task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9
+) -> Refined:
     """Minimises the chi-square over z and all initial states, from z and delta."""
-    return _refine_windows(task, z, delta, jnp.asarray(max_steps), atol, rtol)
+    options = {"limit": jnp.asarray(max_steps), "rtol": jnp.asarray(rtol)}
+    return _refine_windows(task, z, delta, options, atol)
 
 
 @eqx.filter_jit
-def _refine_windows(task: Task, z, delta, limit, atol: float, rtol: float) -> Refined:
+def _refine_windows(task: Task, z, delta, options, atol: float) -> Refined:
     solution: Any = optx.minimise(
         residual_statistics,
-        WindowGaussNewton(rtol=rtol, atol=atol),
+        WindowGaussNewton(atol=atol),
         (z, delta),
         task,
-        options={"limit": limit},
+        options=options,
         has_aux=True,
         max_steps=None,
         throw=False,

@@ -18,8 +18,8 @@ from ._linearise import Problem, linearise, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
-# Times that the integration step may be refined because the fitted vehicle is stiffer than its start.
-_REFINEMENTS = 3
+# How many times finer the integration may become for a fitted vehicle stiffer than its start.
+_FINEST = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,9 +57,9 @@ def fit_trajectory(
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
     dt = float(np.median([log.dt for log in logs]))
-    split, steps, z = substeps(vehicle, dt), 0, np.zeros(len(units.precision))
-    best = None
-    for _ in range(_REFINEMENTS):
+    split, steps = substeps(vehicle, dt), 0
+    z, best = np.zeros(len(units.precision)), None
+    while True:
         data = cut(vehicle, logs, noise, window, split=split, segments=acting.of_samples)
         task = _task(freed, units, data, acting)
         nothing = jnp.zeros((data.windows.count, 12))
@@ -69,12 +69,11 @@ def fit_trajectory(
         if not now.finite:
             # Finer steps from a point far off may fail where coarse ones had ended.
             return now if best is None else best
-        best, z = now, now.z
-        needed = substeps(freed(jnp.asarray(now.raw)), dt)
-        if needed <= split:
-            break
-        split = needed
-    return best
+        # The fitted vehicle may be stiffer than its start.
+        needed = min(substeps(freed(jnp.asarray(now.raw)), dt), _FINEST * split)
+        if needed <= split or best is not None:
+            return now
+        split, z, best = needed, now.z, now
 
 
 def _task(freed: Freed, units: Units, data: Cut, acting: Segments) -> Task:
@@ -125,12 +124,16 @@ def _spurious(task: Task, refined: Refined) -> np.ndarray:
     to determine its parameters. As much noise once more adds as much information once more:
     the mean over two opposite draws, which cancel to first order, less what is there.
     """
+    there = np.asarray(refined.stats.reduced()[2].sum(0))
+    if not np.isfinite(there).all():
+        return there
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
     moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws))
-    there = np.asarray(refined.stats.reduced()[2].sum(0))
     both = [_information(task, refined.z, refined.delta + sign * moved) for sign in (1.0, -1.0)]
-    values, vectors = np.linalg.eigh(np.mean(both, axis=0) - there)
+    more = np.mean(both, axis=0) - there
+    # Draws from which a roll-out diverges tell nothing.
+    values, vectors = np.linalg.eigh(np.where(np.isfinite(more).all(), more, 0.0))
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 

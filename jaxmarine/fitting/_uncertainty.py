@@ -11,7 +11,7 @@ from ._free import Freed, Scales
 # Below this eigenvalue of the scaled information a combination is not determined: its standard
 # error is more than a third of its typical size.
 UNDETERMINED = 9.0
-# Windows below which their scatter says too little; least share of the information outside a window.
+# Windows below which their scatter says too little; least share of information outside a window.
 _FEWEST, _LEAST_REST = 8, 0.02
 # Least weight in a unit combination at which a parameter is named.
 _NAMED = 0.3
@@ -22,8 +22,8 @@ class Parameter:
     """One freed entry: its value before and after, with two standard errors.
 
     - `std_model`: from the curvature of the chi-square, right if the stated noise is all there is.
-    - `std_sandwich`: from the scatter of the windows' scores (White 1982), right also under coloured
-      disturbances that last less than a window; NaN where there are fewer than eight windows.
+    - `std_sandwich`: from the scatter of the windows' scores (White 1982), right also under
+      coloured disturbances that last less than a window; NaN for fewer than eight windows.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Combination:
-    """A direction that the data do not determine: `eigenvalue`, and the weight of each parameter in it.
+    """A direction that the data do not determine: its `eigenvalue`, and the parameters in it.
 
     Parameters count in units of their typical size; the standard error along the direction is
     eigenvalue**-0.5.
@@ -75,7 +75,9 @@ def uncertainty(freed: Freed, scales: Scales, units: Units, estimate: Estimate) 
         model = by_z @ np.linalg.inv(information + np.diag(units.precision)) @ by_z.T
         sandwich = by_z @ _sandwich(estimate, units) @ by_z.T
         size = np.maximum(scales.size, np.abs(value))
-        eigenvalues, vectors = _scaled_information(information - estimate.spurious, by_z / size[:, None])
+        eigenvalues, vectors = _scaled_information(
+            information - estimate.spurious, by_z / size[:, None]
+        )
     else:
         model = sandwich = vectors = np.full((len(value), len(value)), np.nan)
         eigenvalues = np.full(len(value), np.nan)
@@ -111,13 +113,15 @@ def _sandwich(estimate: Estimate, units: Units) -> np.ndarray:
     share, axes = np.linalg.eigh(unit @ estimate.information @ unit.T)
     # A window that alone determines a parameter says nothing of its scatter.
     grow = np.clip(1.0 - share, _LEAST_REST, None) ** -0.5
-    scores = np.einsum("wij,wj,wkj,kl,wl->wi", axes, grow, axes, unit, estimate.scores, optimize=True)
+    scores = np.einsum(
+        "wij,wj,wkj,kl,wl->wi", axes, grow, axes, unit, estimate.scores, optimize=True
+    )
     meat = scores.T @ scores + unit @ np.diag(units.precision * units.has_prior) @ unit.T
     return unit.T @ meat @ unit
 
 
 def _scaled_information(information: np.ndarray, by_z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues and vectors of the information on the entries, each in units of its typical size."""
+    """Eigenvalues and vectors of the information on the entries, in units of their sizes."""
     # A dissipative matrix at its bound has no slope: the data then say nothing of that direction.
     inverse = np.linalg.pinv(by_z, rcond=1e-9)
     scaled = inverse.T @ information @ inverse

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._errors import InputError
 from .._types import ATTITUDE, CHANNELS
@@ -88,7 +88,10 @@ def cut(
     longest = max(len(log.t) for log in logs) * split
     count = len(vehicle.thruster_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "velocity", "segment")}
-    parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
+    parts = {
+        name: []
+        for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")
+    }
     starts = []
     dt = float(np.median([log.dt for log in logs]))
     size = max(4, round(length / dt))
@@ -136,9 +139,7 @@ def cut(
             starts.append(log.t[first])
     if len(starts) < 2:
         names = ", ".join(log.name for log in logs)
-        raise InputError(
-            f"{names}: is shorter than two windows of {length:g} s; use a longer log."
-        )
+        raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")
     attitude = np.array(parts.pop("attitude"))
     return Cut(
         logs=tuple(logs),

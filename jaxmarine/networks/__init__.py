@@ -1,10 +1,19 @@
 """Learned terms inside the physics."""
 
+from ._damping import MLPDamping as MLPDamping
+from ._damping import mlp_damping as mlp_damping
 from ._learned import (
     SIGNALS as SIGNALS,
+)
+from ._learned import (
     LearnedWrench as LearnedWrench,
+)
+from ._learned import (
     learned_wrench as learned_wrench,
+)
+from ._learned import (
     signals as signals,
+)
+from ._learned import (
     signals_known as signals_known,
 )
-from ._damping import MLPDamping as MLPDamping, mlp_damping as mlp_damping

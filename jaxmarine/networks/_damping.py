@@ -16,9 +16,9 @@ from ..effects import Craft, Motion, Suspect, WrenchEffect
 class MLPDamping(WrenchEffect):
     r"""Damping beside that of the vehicle, $\tau_a = s_o (f(\nu_r / s_i) - f(0))$ on chosen axes a.
 
-    - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes to
-      forces on them; zero at the start in its last layer, so that the unfitted vehicle is the physics.
-    - `input_scale` [m/s, rad/s]: largest speeds in the data; beyond them tanh levels off and nothing is known.
+    - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes
+      to forces on them; zero at first in its last layer: the unfitted vehicle is the physics.
+    - `input_scale` [m/s, rad/s]: largest speeds in the data; beyond them nothing is known.
     - `output_scale` [N, N m]: size of the forces.
 
     There is no force at rest, by construction. Nothing makes the force dissipative. Source: thesis
@@ -26,7 +26,7 @@ class MLPDamping(WrenchEffect):
     """
 
     name: ClassVar[str] = "mlp_damping"
-    units: ClassVar[dict[str, str]] = {}
+    units: ClassVar[Mapping[str, str]] = {}
 
     network: eqx.nn.MLP
     input_scale: Float[Array, " axes"]
@@ -72,7 +72,7 @@ class MLPDamping(WrenchEffect):
         if shapes != {name: np.shape(value) for name, value in arrays.items()}:
             raise ValueError(f"its arrays are not {shapes}")
 
-        def stored(term: Self) -> list[Array]:
+        def stored(term: Self) -> list[Array | None]:
             layers = term.network.layers
             biases = [layer.bias for layer in layers[:-1]]
             return [term.input_scale, term.output_scale, *[x.weight for x in layers], *biases]
@@ -99,7 +99,7 @@ def mlp_damping(
 ) -> MLPDamping:
     """An untrained term on `axes`: random but for its last layer, which is zero.
 
-    - `speed` [m/s, rad/s], `force` [N, N m]: typical sizes per axis, which scale inputs and outputs.
+    - `speed` [m/s, rad/s], `force` [N, N m]: sizes per axis, which scale inputs and outputs.
     """
     # No bias in the last layer: the subtracted value at rest would cancel it.
     network = eqx.nn.MLP(
@@ -112,8 +112,7 @@ def mlp_damping(
         dtype=jnp.result_type(float),
         key=key,
     )
-    last = lambda net: net.layers[-1].weight  # noqa: E731
-    network = eqx.tree_at(last, network, replace_fn=jnp.zeros_like)
+    network = eqx.tree_at(lambda net: net.layers[-1].weight, network, replace_fn=jnp.zeros_like)
     arrays, frame = eqx.partition(network, eqx.is_array)
     return MLPDamping(
         network=arrays,

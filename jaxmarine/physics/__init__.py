@@ -1,17 +1,39 @@
 """The classical terms: frames, rigid body, added mass, Coriolis, restoring, damping, actuators."""
 
-from ._actuators import Drive as Drive, step_lengths as step_lengths, thrust as thrust
-from ._body import Load as Load, coriolis as coriolis, rigid_body_matrix as rigid_body_matrix
+from ._actuators import Drive as Drive
+from ._actuators import step_lengths as step_lengths
+from ._actuators import thrust as thrust
+from ._body import Load as Load
+from ._body import coriolis as coriolis
+from ._body import rigid_body_matrix as rigid_body_matrix
 from ._damping import damping as damping
 from ._frames import (
     apply as apply,
+)
+from ._frames import (
     attitude_rate as attitude_rate,
+)
+from ._frames import (
     compose as compose,
+)
+from ._frames import (
     from_euler as from_euler,
+)
+from ._frames import (
     norm as norm,
+)
+from ._frames import (
     rotation as rotation,
+)
+from ._frames import (
     skew as skew,
+)
+from ._frames import (
     small_turn as small_turn,
+)
+from ._frames import (
     to_euler as to_euler,
+)
+from ._frames import (
     to_euler_matrix as to_euler_matrix,
 )

@@ -1,0 +1,269 @@
+"""The command line. Every mistake in what is handed in ends with one sentence and exit code 2."""
+
+import os
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from ._errors import InputError
+
+app = typer.Typer(
+    help="Identifies marine vehicles from measured logs: simulates, fits, and names what a model gets wrong.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+_out = Console()
+_err = Console(stderr=True)
+
+VehicleOption = Annotated[
+    Path, typer.Option("--vehicle", help="Vehicle file (TOML).", show_default=False)
+]
+TrainOption = Annotated[
+    list[Path],
+    typer.Option(
+        "--train",
+        help="Training log (CSV or Parquet); repeat in order of time.",
+        show_default=False,
+    ),
+]
+ColumnsOption = Annotated[
+    Path | None,
+    typer.Option("--columns", help="Map from the contract's column names to the file's (TOML)."),
+]
+
+
+def _prepare() -> None:
+    """Double precision, and compiled programs kept in the user's cache folder between runs."""
+    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxmarine"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(home))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+@contextmanager
+def _progress(text: str):
+    """A spinner with the stage and the time; plain silence where the output is no terminal."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=_err, transient=True, disable=not _err.is_terminal) as bar:
+        task = bar.add_task(text)
+        yield lambda words: bar.update(task, description=words)
+
+
+@app.command(
+    epilog="Example: `jaxmarine diagnose --vehicle rov.toml --train mon.csv --train tue.csv --test wed.csv --out report`"
+)
+def diagnose(
+    vehicle: VehicleOption,
+    train: TrainOption,
+    test: Annotated[
+        Path, typer.Option("--test", help="Log on which the gain is measured.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for report, diagnosis.json and extended.toml.")
+    ] = Path("report"),
+    columns: ColumnsOption = None,
+    window: Annotated[
+        float | None, typer.Option("--window", min=0.5, help="Length of the windows [s].")
+    ] = None,
+) -> None:
+    """Shows what the vehicle file gets wrong on its logs, names the cause, and measures the gain."""
+    _prepare()
+    from .diagnosis import diagnose as run
+    from .logs import read_log
+    from .vehicle_io import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    columns_map = _columns(columns)
+    logs = [read_log(path, craft, columns_map) for path in train]
+    held_out = read_log(test, craft, columns_map)
+    with _progress("diagnosing") as tell:
+        result = run(craft, logs, held_out, window=window, progress=tell)
+    _write(result, out)
+
+
+def _columns(path: Path | None):
+    from .logs import read_columns
+
+    return None if path is None else read_columns(path)
+
+
+def _write(result, out: Path) -> None:
+    """Writes the results and says in a few lines what they are."""
+    from .reports import write_report
+    from .vehicle_io import save_vehicle
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{out}: is no folder that can be written ({error.strerror}); choose another."
+        ) from error
+    save_vehicle(result.extended, out / "extended.toml")
+    page = write_report(result, out)
+    _out.print(f"Verdict: [bold]{result.verdict.replace('_', ' ')}[/bold]")
+    for finding in result.findings:
+        values = ", ".join(
+            f"{name} = {p.value:.4g} ± {p.std:.2g}{'' if p.unit == '1' else ' ' + p.unit}"
+            for name, p in finding.parameters.items()
+        )
+        since = (
+            ""
+            if finding.since is None
+            else f" since t = {finding.since:g} s of {finding.since_log}"
+        )
+        _out.print(f"  {finding.label}{since}" + (f": {values}" if values else ""), markup=False)
+    if result.depends_on:
+        _out.print(f"  what is left depends on {', '.join(result.depends_on)}", markup=False)
+    low, high = result.gain.ratio_ci95
+    _out.print(
+        f"5 s prediction error on {result.test}: {result.gain.ratio:.3f} of what it was "
+        f"(95 %: {low:.3f} to {high:.3f}){'' if result.gain.held_out else ', not held out'}",
+        markup=False,
+        highlight=False,
+    )
+    _out.print(f"Report: {page}", markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command(
+    epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`"
+)
+def simulate(
+    vehicle: VehicleOption,
+    log: Annotated[
+        Path,
+        typer.Option(
+            "--log", help="Log with the commands and the start state.", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Simulated log (CSV or Parquet).")] = Path(
+        "simulated.csv"
+    ),
+    columns: ColumnsOption = None,
+) -> None:
+    """Simulates the vehicle under the commands of a log, from the log's first state."""
+    _prepare()
+    import dataclasses
+
+    import numpy as np
+
+    from .logs import read_log, smooth_states, write_log
+    from .simulation import initial_state
+    from .simulation import simulate as run
+    from .vehicle_io import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    recorded = read_log(log, craft, _columns(columns))
+    track = smooth_states(recorded, craft.dof)
+    with _progress("simulating"):
+        start = initial_state(craft, track.position[0], track.attitude[0], track.nu[0])
+        channels = np.asarray(run(craft, recorded, start).channels)
+    if not np.isfinite(channels).all():
+        raise InputError(
+            f"{vehicle}: the simulation runs away on {log}; check the signs of damping and added mass."
+        )
+    write_log(dataclasses.replace(recorded, channels=channels), out)
+    _out.print(f"Simulated log: {out}", markup=False, highlight=False, soft_wrap=True)
+
+
+# What `jaxmarine fit --free` can name.
+_FREE = {
+    "damping": lambda v: (v.damping.linear, v.damping.quadratic),
+    "linear": lambda v: v.damping.linear,
+    "quadratic": lambda v: v.damping.quadratic,
+    "added_mass": lambda v: v.added_mass,
+    "thrust": lambda v: v.thrusters.max_thrust,
+}
+
+
+@app.command(
+    epilog="Example: `jaxmarine fit --vehicle rov.toml --train dive.csv --free damping --out fitted.toml`"
+)
+def fit(
+    vehicle: VehicleOption,
+    train: TrainOption,
+    free: Annotated[
+        list[str],
+        typer.Option("--free", help=f"What is fitted: {', '.join(_FREE)}; repeat for several."),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
+    prior: Annotated[
+        float | None,
+        typer.Option("--prior", min=0.0, help="Relative width of a prior at the file's values."),
+    ] = None,
+    columns: ColumnsOption = None,
+) -> None:
+    """Fits coefficients that the vehicle file already has, by the trajectory loss (diagonal entries)."""
+    unknown = [name for name in free if name not in _FREE]
+    if unknown:
+        raise InputError(f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}.")
+    _prepare()
+    from .fitting import fit as run
+    from .logs import read_log
+    from .vehicle_io import load_vehicle, save_vehicle
+
+    craft = load_vehicle(vehicle)
+    columns_map = _columns(columns)
+    logs = [read_log(path, craft, columns_map) for path in train]
+    with _progress("fitting"):
+        result = run(
+            craft,
+            logs,
+            lambda v: tuple(_FREE[name](v) for name in free),
+            prior=prior,
+            entries="diagonal",
+            throw=False,
+        )
+    if not result.converged:
+        raise InputError(
+            f"{train[0]}: the fit found no minimum ({result.result}); give --prior 0.3 or a richer log."
+        )
+    save_vehicle(result.vehicle, out)
+    _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
+    _out.print(f"Fitted vehicle: {out}", markup=False, highlight=False, soft_wrap=True)
+
+
+@app.command(epilog="Example: `jaxmarine demo --out demo-report`")
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path(
+        "demo-report"
+    ),
+) -> None:
+    """Makes a log of the ROV Tethra with a weak thruster hidden in it, and finds it."""
+    _prepare()
+    from .diagnosis import diagnose as run
+    from .examples import hidden
+    from .logs import write_log
+    from .vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
+
+    craft = load_vehicle(packaged_vehicle("tethra"))
+    with _progress("simulating Tethra") as tell:
+        train, test = hidden(craft, "thruster_gain", "port_h", {"factor": 0.72})
+        out.mkdir(parents=True, exist_ok=True)
+        save_vehicle(craft, out / "vehicle.toml")
+        write_log(train, out / "train.csv")
+        write_log(test, out / "test.csv")
+        tell("diagnosing")
+        result = run(craft, train, test, progress=tell)
+    _out.print("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
+    _write(result, out)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        app()
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("Stopped; nothing was written.", file=sys.stderr)
+        sys.exit(130)

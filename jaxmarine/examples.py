@@ -1,0 +1,71 @@
+"""Logs that the package makes itself: an operator at the sticks, and sensors with noise."""
+
+import numpy as np
+import scipy.ndimage
+from jaxtyping import Float
+
+from ._types import CHANNELS, SENSORS
+from .effects import CATALOGUE, place
+from .logs import Log
+from .simulation import initial_state, simulate
+from .vehicle import Placed, Vehicle
+from .vehicle_io import suspect_named
+
+
+def operator(
+    count: int, t: Float[np.ndarray, " times"], seed: int, strength: float = 0.6
+) -> Float[np.ndarray, "times thrusters"]:
+    """Commands of an operator who holds each stick for some seconds and slews within 0.3 s (thesis 5.3.1).
+
+    - `count` thrusters in neighbouring pairs, which an operator moves together or against each other.
+    """
+    rng = np.random.default_rng(seed)
+    dt = float(np.median(np.diff(t)))
+    sticks = np.zeros((len(t), count))
+    for i in range(count):
+        at = 0
+        while at < len(t):
+            held = int(rng.uniform(2.0, 8.0) / dt)
+            level = rng.choice([0.0, rng.uniform(-1.0, 1.0)], p=[0.3, 0.7])
+            sticks[at : at + held, i] = level
+            at += held
+    sticks = scipy.ndimage.uniform_filter1d(sticks, max(1, round(0.3 / dt)), axis=0, mode="nearest")
+    pairs = np.eye(count)
+    for i in range(0, count - 1, 2):
+        pairs[i : i + 2, i : i + 2] = [[0.7, 0.3], [0.7, -0.3]]
+    return np.clip(strength * sticks @ pairs.T, -1.0, 1.0)
+
+
+def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
+    """The log of a vehicle from rest under commands, with the white noise that its file states."""
+    stated = dict(vehicle.sensors)
+    noise = np.array([stated[kind] for kind, channels in SENSORS.items() for _ in channels])
+    empty = Log(
+        t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.thruster_names, name
+    )
+    clean = np.asarray(simulate(vehicle, empty, initial_state(vehicle)).channels)
+    rng = np.random.default_rng(seed)
+    channels = clean + noise * rng.standard_normal(clean.shape)
+    return Log(t, channels, commands, None, vehicle.thruster_names, name)
+
+
+def hidden(
+    vehicle: Vehicle,
+    effect: str,
+    target: str | None,
+    parameters: dict[str, float],
+    duration: tuple[float, float] = (180.0, 90.0),
+    seed: int = 0,
+) -> tuple[Log, Log]:
+    """A training and a test log of the vehicle with an effect in it that its file does not have.
+
+    Lengths in seconds, sampled at 10 Hz.
+    """
+    suspect = suspect_named(vehicle, effect, target, CATALOGUE)
+    plant = vehicle.place(Placed(place(suspect, vehicle, parameters), target))
+    logs = []
+    for i, (length, name) in enumerate(zip(duration, ("train.csv", "test.csv"), strict=True)):
+        t = np.arange(0.0, length, 0.1)
+        commands = operator(len(vehicle.thruster_names), t, seed + 2 * i)
+        logs.append(recorded(plant, commands, t, seed + 2 * i + 1, name))
+    return logs[0], logs[1]

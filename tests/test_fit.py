@@ -1,0 +1,427 @@
+"""`fit`: recovery, honest standard errors, what the data do not determine, learned damping."""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jaxtyping import Array, Float
+
+from jaxmarine.effects import (
+    CATALOGUE,
+    ConstantWrench,
+    Craft,
+    Motion,
+    Suspect,
+    ThrusterGain,
+    WrenchEffect,
+)
+from jaxmarine.fitting import Fit, FitError, fit
+from jaxmarine.fitting._free import set_free
+from jaxmarine.logs import Log
+from jaxmarine.networks import mlp_damping
+from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle import Input, Placed, State, Vehicle
+from jaxmarine.vehicle_io import load_vehicle, save_vehicle
+from tests.boats import NOISE, boat, record, steps
+
+SEEDS = 20
+
+
+def everything(v: Vehicle):
+    return v.added_mass, v.damping.linear, v.damping.quadratic
+
+
+def wrong(v: Vehicle, *factors: float) -> Vehicle:
+    """The vehicle with added mass, linear and quadratic damping times these factors."""
+    return eqx.tree_at(
+        everything, v, tuple(f * leaf for f, leaf in zip(factors, everything(v), strict=True))
+    )
+
+
+def values(found: Fit) -> np.ndarray:
+    return np.array([p.value for p in found.parameters])
+
+
+def planted(vehicle: Vehicle) -> np.ndarray:
+    """What `everything` picks, entries that are not zero, in the order of a fit's table."""
+    added, linear, quadratic = (np.asarray(leaf) for leaf in everything(vehicle))
+    return np.concatenate(
+        [
+            [added[0, 0], added[1, 1], added[5, 1], added[5, 5]],
+            np.diag(linear)[[0, 1, 5]],
+            np.diag(quadratic)[[0, 1, 5]],
+        ]
+    )
+
+
+@functools.cache
+def many_fits(loss: str) -> tuple[Fit, ...]:
+    """Fits of the same run under different noise, from a start that is far off."""
+    start = wrong(boat(), 0.4, 2.5, 0.4)
+    return tuple(
+        fit(start, record(boat(), steps(), seed=s), everything, entries="nonzero", loss=loss)
+        for s in range(SEEDS)
+    )
+
+
+# --- recovery ---------------------------------------------------------------------------------
+
+
+def test_planted_parameters_are_recovered_from_a_wrong_start():
+    truth, start = boat(), wrong(boat(), 0.4, 2.5, 0.4)
+    log = record(truth, steps(), noise=dict.fromkeys(NOISE, 1e-6))
+    blind = simulate(start, log, _rest()).channels
+    assert np.abs(np.asarray(blind)[:, :2] - log.channels[:, :2]).max() > 1.0  # really wrong
+    found = fit(start, log, everything, entries="nonzero")
+    assert found.converged and found.result == "converged"
+    # atol of the chi-square in units of the noise that the vehicle states
+    np.testing.assert_allclose(values(found), planted(truth), rtol=1e-3)
+    np.testing.assert_array_equal(found.start.added_mass, start.added_mass)
+    names = [p.name for p in found.parameters]
+    assert names[:4] == [
+        "added_mass[surge]",
+        "added_mass[sway]",
+        "added_mass[yaw,sway]",
+        "added_mass[yaw]",
+    ]
+    np.testing.assert_allclose([p.start for p in found.parameters], planted(start), atol=1e-12)
+
+
+def test_nothing_but_the_free_axes_of_the_free_leaves_changes():
+    found = many_fits("trajectory")[0]
+    kept = np.ones((6, 6), bool)
+    kept[np.ix_([0, 1, 5], [0, 1, 5])] = False
+    for before, after in zip(everything(found.start), everything(found.vehicle), strict=True):
+        np.testing.assert_array_equal(np.asarray(before)[kept], np.asarray(after)[kept])
+    restored = eqx.tree_at(everything, found.vehicle, everything(found.start))
+    assert eqx.tree_equal(restored, found.start)
+
+
+def test_one_step_recovers_without_noise():
+    truth, start = boat(), wrong(boat(), 0.4, 2.5, 0.4)
+    noise = dict.fromkeys([*NOISE, "acceleration", "angular_acceleration"], 1e-7)
+    log = record(truth, steps(), noise=noise)
+    found = fit(start, log, everything, entries="nonzero", loss="one_step")
+    np.testing.assert_allclose(values(found), planted(truth), rtol=1e-4)
+
+
+# --- standard errors --------------------------------------------------------------------------
+
+
+def test_errors_of_many_noises_match_both_standard_errors():
+    fits = many_fits("trajectory")
+    errors = np.array([values(f) for f in fits]) - planted(boat())
+    model = np.array([[p.std_model for p in f.parameters] for f in fits])
+    sandwich = np.array([[p.std_sandwich for p in f.parameters] for f in fits])
+    # The sum of squares over 20 seeds is chi-square: std ratios within 1 +- 3 / sqrt(40). The ten
+    # windows of a sandwich scatter it by themselves.
+    for std, room in ((model, 0.47), (sandwich, 0.55)):
+        ratio = np.sqrt((errors**2).mean(0) / (std**2).mean(0))
+        np.testing.assert_allclose(ratio, 1.0, atol=room)
+        assert abs(ratio.mean() - 1.0) < 0.2
+    # Together the ten parameters of twenty seeds are a whole: nine in ten within 1.64.
+    assert 0.82 < np.mean(np.abs(errors / model) < 1.645) < 0.97
+    assert abs(np.mean([f.chi2_per_sample for f in fits]) - 1.0) < 0.03
+
+
+def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
+    seeds = 8
+    where = [f"damping.quadratic[{axis}]" for axis in ("surge", "sway")]
+    where += ["damping.linear[surge]"]
+    truth = np.array([30.0, 90.0, 20.0])
+    noise = NOISE | {"velocity": 0.1}
+    start = boat(sensors=noise)
+    found: dict[str, np.ndarray] = {}
+    for loss in ("trajectory", "one_step"):
+        fits = [
+            fit(
+                start,
+                record(start, steps(), noise=noise, seed=100 + s),
+                everything,
+                entries="nonzero",
+                loss=loss,
+            )
+            for s in range(seeds)
+        ]
+        found[loss] = np.array([[f[name].value for name in where] for f in fits]) - truth
+    error = {k: v.mean(0) / (v.std(0, ddof=1) / np.sqrt(seeds)) for k, v in found.items()}
+    assert np.abs(error["trajectory"]).max() < 3.5
+    assert np.abs(error["one_step"]).max() > 8.0
+    assert np.abs(found["one_step"].mean(0) / truth).max() > 0.2
+
+
+# --- what the data do not determine -----------------------------------------------------------
+
+
+def test_an_axis_at_rest_is_reported():
+    commands = steps()
+    commands[:, 2] = 0.0  # straight on: both astern alike, the bow thruster off
+    commands[:, 1] = commands[:, 0]
+    still = fit(
+        boat(),
+        record(boat(), commands),
+        everything,
+        entries="nonzero",
+        prior=(jnp.full((6, 6), 0.1), jnp.full((6, 6), jnp.inf), jnp.full((6, 6), jnp.inf)),
+    )
+    named = {name for c in still.undetermined for name, _ in c.weights}
+    assert {
+        f"damping.{kind}[{axis}]" for kind in ("linear", "quadratic") for axis in ("sway", "yaw")
+    } <= named
+    assert not any("surge" in name for name in named)
+    assert "not determined by the data" in repr(still)
+    moved = many_fits("trajectory")[0]
+    assert not moved.undetermined
+    assert np.all(np.diff(moved.information) >= 0)
+    seen = {c.dof: c for c in moved.coverage}
+    assert list(seen) == ["surge", "sway", "yaw"]
+    log = record(boat(), steps(), seed=0)
+    assert abs(seen["surge"].velocity_std - np.std(log.channels[:, 6])) < 0.02
+
+
+def test_a_prior_holds_what_it_names():
+    tight = (jnp.full((6, 6), 1e-4), jnp.full((6, 6), jnp.inf), jnp.full((6, 6), jnp.inf))
+    start = wrong(boat(), 1.0, 2.0, 0.5)
+    log = record(boat(), steps(), seed=3)
+    found = fit(start, log, everything, entries="nonzero", prior=tight)
+    np.testing.assert_allclose(found.vehicle.added_mass, boat().added_mass, atol=1e-3)
+    np.testing.assert_allclose([p.std_model for p in found.parameters[:4]], 1e-4, rtol=1e-2)
+    free = many_fits("trajectory")[3]
+    for name in ("damping.linear[surge]", "damping.linear[sway]"):
+        assert found[name].std_model < free[name].std_model
+        assert abs(found[name].value - planted(boat())[4:6].max()) < 100
+
+
+# --- what is free -----------------------------------------------------------------------------
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.sampled_from(["all", "nonzero", "diagonal"]))
+def test_the_total_mass_stays_positive_whatever_the_numbers(seed: int, entries):
+    vehicle = eqx.tree_at(
+        lambda v: v.body.matrix, boat(), boat().body.matrix.at[0, 5].set(9.0).at[5, 0].set(9.0)
+    )
+    for leaf in (lambda v: v.added_mass, lambda v: v.body.matrix):
+        freed, _ = set_free(vehicle, leaf, entries=entries)
+        raw = freed.start + 2.0 * np.random.default_rng(seed).normal(size=freed.start.shape)
+        total = np.asarray(freed(raw).mass_matrix)
+        np.testing.assert_allclose(total, total.T, atol=1e-9 * np.abs(total).max())
+        inside = total[np.ix_([0, 1, 5], [0, 1, 5])]
+        assert np.linalg.eigvalsh(inside / np.sqrt(np.outer(*[np.diag(inside)] * 2))).min() > 0
+        assert eqx.tree_equal(freed(freed.start), vehicle, rtol=1e-12, atol=1e-12)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.sampled_from(["all", "diagonal"]))
+def test_dissipative_damping_takes_energy_whatever_the_numbers(seed: int, entries):
+    rng = np.random.default_rng(seed)
+    freed, _ = set_free(boat(), lambda v: v.damping.linear, entries=entries, dissipative=True)
+    matrix = np.asarray(
+        freed(freed.start + 30.0 * rng.normal(size=freed.start.shape)).damping.linear
+    )
+    velocity = rng.normal(size=(100, 6)) * boat().free
+    assert np.einsum("ki,ij,kj->k", velocity, matrix, velocity).min() > -1e-9
+    start = np.asarray(freed(freed.start).damping.linear)
+    np.testing.assert_allclose(start, boat().damping.linear, atol=1e-9)
+    if entries == "all":
+        assert np.abs(matrix - matrix.T).max() > 1.0  # a gyroscopic part is allowed
+
+
+def test_dissipative_holds_where_noise_would_have_it_otherwise():
+    truth = eqx.tree_at(lambda v: v.damping.linear, boat(), 0.02 * boat().damping.linear)
+    log = record(truth, steps(), seed=1)
+    options = {"entries": "diagonal", "loss": "one_step"}
+    plain = fit(boat(), log, lambda v: v.damping.linear, **options)
+    held = fit(boat(), log, lambda v: v.damping.linear, dissipative=True, **options)
+    assert plain["damping.linear[surge]"].value < 0.0
+    assert all(p.value >= 0.0 for p in held.parameters)
+
+
+def test_an_effect_is_freed_on_its_target_only():
+    gain = Placed(ThrusterGain.neutral(boat()), "all")
+    push = Placed(ConstantWrench.neutral(boat()), "sway")
+    vehicle = boat().place(gain, push)
+    freed, _ = set_free(vehicle, lambda v: (v.placed[0].effect.factor, v.placed[1].effect.value))
+    assert freed.names == ("thruster_gain:all.factor", "constant_wrench:sway.value")
+    changed = freed(jnp.array([0.7, 3.0]))
+    np.testing.assert_array_equal(changed.placed[0].effect.factor, [0.7, 0.7, 0.7])
+    np.testing.assert_array_equal(changed.placed[1].effect.value, [0, 3.0, 0, 0, 0, 0])
+    noise = dict.fromkeys([*NOISE, "acceleration", "angular_acceleration"], 1e-7)
+    log = record(changed, steps(), noise=noise)
+    found = fit(
+        vehicle,
+        log,
+        lambda v: (v.placed[0].effect.factor, v.placed[1].effect.value),
+        loss="one_step",
+    )
+    np.testing.assert_allclose(values(found), [0.7, 3.0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("free", "options", "says"),
+    [
+        (lambda v: v.mass_matrix, {}, "pick leaves"),
+        (lambda v: 1.0, {}, "must return leaves"),
+        (lambda v: (v.added_mass, v.body.matrix), {}, "only their sum"),
+        (lambda v: (v.added_mass, v.added_mass), {}, "twice"),
+        (lambda v: v.added_mass, {"prior": -0.1}, "positive"),
+        (lambda v: v.added_mass, {"prior": (1.0, 1.0)}, "free\\(vehicle\\)"),
+        (lambda v: v.added_mass, {"entries": "some"}, "one of all"),
+        (lambda v: v.added_mass, {"prior": 0.0 * jnp.ones((6, 6))}, "nothing free"),
+    ],
+)
+def test_what_cannot_be_free_is_said(free, options, says: str):
+    with pytest.raises(ValueError, match=says):
+        set_free(boat(), free, **options)
+
+
+def test_too_few_steps_raise_with_advice_or_stand_in_the_result():
+    log = record(boat(), steps())
+    start = wrong(boat(), 1.0, 3.0, 0.3)
+    options = {"loss": "one_step", "max_steps": 1}
+    with pytest.raises(FitError, match="raise `max_steps`"):
+        fit(start, log, lambda v: v.damping.linear, **options)
+    found = fit(start, log, lambda v: v.damping.linear, throw=False, **options)
+    assert not found.converged and "max_steps" in found.result
+
+
+def test_the_table_shows_start_value_and_error():
+    found = many_fits("trajectory")[0]
+    row = next(
+        line for line in repr(found).splitlines() if line.startswith("damping.linear[surge]")
+    )
+    parameter = found["damping.linear[surge]"]
+    start, value, model, sandwich = (float(cell) for cell in row.split()[1:])
+    assert start == 50.0
+    np.testing.assert_allclose(value, parameter.value, rtol=1e-4)
+    np.testing.assert_allclose(
+        [model, sandwich], [parameter.std_model, parameter.std_sandwich], rtol=0.05
+    )
+
+
+# --- learned damping --------------------------------------------------------------------------
+
+
+class CubicDamping(WrenchEffect):
+    """Drag with the cube of the velocity, which no linear-plus-quadratic drag is."""
+
+    name = "cubic_damping"
+    units = {"value": "N s³/m³"}
+
+    value: Float[Array, ""]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> "CubicDamping":
+        del craft
+        return cls(jnp.zeros(()))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return ()
+
+    def __call__(self, motion: Motion) -> Float[Array, "6"]:
+        return jnp.zeros(6).at[0].set(-self.value * motion.nu_r[0] ** 3)
+
+
+def _surge(linear: float, quadratic: float) -> Vehicle:
+    bare = boat(("surge",))
+    return eqx.tree_at(
+        lambda v: (v.damping.linear, v.damping.quadratic),
+        bare,
+        (
+            bare.damping.linear.at[0, 0].set(linear),
+            bare.damping.quadratic.at[0, 0].set(quadratic),
+        ),
+    )
+
+
+def _rest() -> State:
+    return initial_state(boat())
+
+
+def _prediction_error(vehicle: Vehicle, truth: Vehicle) -> float:
+    """Root mean square error of u over open-loop predictions of 5 s on commands not seen before."""
+    log = record(truth, steps(seed=9), noise=dict.fromkeys(NOISE, 0.0))
+    states = simulate(truth, log, _rest()).states
+    errors = []
+    for k in range(0, 350, 50):
+        part = dataclasses.replace(
+            log,
+            t=log.t[k : k + 50],
+            channels=log.channels[k : k + 50],
+            commands=log.commands[k : k + 50],
+        )
+        start = jax.tree.map(lambda a, k=k: a[k], states)
+        errors.append(simulate(vehicle, part, start)["u"] - part.channels[:, 6])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _weights(v: Vehicle):
+    return v.placed[0].effect.network
+
+
+def _hybrid(vehicle: Vehicle) -> Vehicle:
+    term = mlp_damping(("surge",), np.array([1.0]), np.array([20.0]), jax.random.key(0))
+    return vehicle.place(Placed(term))
+
+
+@pytest.fixture(scope="module")
+def learned() -> tuple[Vehicle, Vehicle, Log, float]:
+    """The truth, a wrong start, its log, and the error of the best linear-plus-quadratic drag."""
+    truth = _surge(2.0, 0.0).place(Placed(CubicDamping(jnp.asarray(60.0))))
+    start = _surge(6.0, 90.0)
+    log = record(truth, steps(seed=1), seed=4)
+    classical = fit(
+        start, log, lambda v: (v.damping.linear, v.damping.quadratic), entries="diagonal"
+    )
+    return truth, start, log, _prediction_error(classical.vehicle, truth)
+
+
+@pytest.mark.parametrize(("loss", "times_better"), [("trajectory", 5.0), ("one_step", 2.5)])
+def test_a_network_learns_damping_that_is_neither_linear_nor_quadratic(learned, loss, times_better):
+    truth, start, log, classical = learned
+    hybrid = _hybrid(start)
+    assert _prediction_error(start, truth) > 3.0 * classical  # the start is really wrong
+    spread = jax.tree.map(lambda a: jnp.full_like(a, 3.0), _weights(hybrid))
+    found = fit(hybrid, log, _weights, prior=spread, loss=loss, max_steps=300)
+    assert _prediction_error(found.vehicle, truth) < classical / times_better
+    np.testing.assert_allclose(found.chi2_per_sample, 1.0, atol=0.15)
+
+
+def test_an_unfitted_network_is_the_physics_and_a_fitted_one_is_zero_at_rest():
+    vehicle = _hybrid(_surge(6.0, 90.0))
+    still, moving = jnp.zeros(6), jnp.array([0.7, 0.0, 0.0, 0.0, 0.0, 0.0])
+    drive = Input(jnp.zeros(3), jnp.zeros(3), jnp.zeros(6), jnp.zeros(()))
+
+    def force(v: Vehicle, nu):
+        state = dataclasses.replace(_rest(), velocity=nu)
+        return np.asarray(v.plant().balance(state, jnp.zeros(6), drive))
+
+    np.testing.assert_array_equal(force(vehicle, moving), force(_surge(6.0, 90.0), moving))
+    rng = np.random.default_rng(0)
+    trained = eqx.tree_at(
+        lambda v: jax.tree.leaves(_weights(v)),
+        vehicle,
+        [jnp.asarray(rng.normal(size=a.shape)) for a in jax.tree.leaves(_weights(vehicle))],
+    )
+    np.testing.assert_array_equal(force(trained, still), np.zeros(6))
+    assert abs(force(trained, moving)[0] - force(vehicle, moving)[0]) > 0.1
+
+
+def test_a_learned_damping_is_stored_beside_the_vehicle(tmp_path):
+    vehicle = _hybrid(_surge(6.0, 90.0))
+    rng = np.random.default_rng(1)
+    vehicle = eqx.tree_at(
+        lambda v: jax.tree.leaves(_weights(v)),
+        vehicle,
+        [jnp.asarray(rng.normal(size=a.shape)) for a in jax.tree.leaves(_weights(vehicle))],
+    )
+    save_vehicle(vehicle, tmp_path / "boat.toml")
+    assert eqx.tree_equal(load_vehicle(tmp_path / "boat.toml", CATALOGUE), vehicle)
