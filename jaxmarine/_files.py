@@ -41,9 +41,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
             )
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8 TOML."
-        ) from error
+        raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8 TOML.") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is not valid TOML: {error}; correct it there.") from error
     except (RecursionError, ValueError) as error:
@@ -69,9 +67,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield beside
         os.replace(beside, path)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written, because {_reason(error)}; check the folder."
-        ) from error
+        raise InputError(f"{path}: cannot be written, because {_reason(error)}; check the folder.") from error
     finally:
         beside.unlink(missing_ok=True)
 

@@ -21,9 +21,7 @@ app = typer.Typer(
 _out = Console()
 _err = Console(stderr=True)
 
-VehicleOption = Annotated[
-    Path, typer.Option("--vehicle", help="Vehicle file (TOML).", show_default=False)
-]
+VehicleOption = Annotated[Path, typer.Option("--vehicle", help="Vehicle file (TOML).", show_default=False)]
 TrainOption = Annotated[
     list[Path],
     typer.Option(
@@ -59,7 +57,8 @@ def _progress(text: str):
 
 
 @app.command(
-    epilog="Example: `jaxmarine diagnose --vehicle rov.toml --train mon.csv --train tue.csv --test wed.csv --out report`"
+    epilog="Example: `jaxmarine diagnose --vehicle rov.toml --train mon.csv --train tue.csv "
+    "--test wed.csv --out report`"
 )
 def diagnose(
     vehicle: VehicleOption,
@@ -115,11 +114,7 @@ def _write(result, out: Path) -> None:
             f"{name} = {p.value:.4g} ± {p.std:.2g}{'' if p.unit == '1' else ' ' + p.unit}"
             for name, p in finding.parameters.items()
         )
-        since = (
-            ""
-            if finding.since is None
-            else f" since t = {finding.since:g} s of {finding.since_log}"
-        )
+        since = "" if finding.since is None else f" since t = {finding.since:g} s of {finding.since_log}"
         _out.print(f"  {finding.label}{since}" + (f": {values}" if values else ""), markup=False)
     if result.depends_on:
         _out.print(f"  what is left depends on {', '.join(result.depends_on)}", markup=False)
@@ -133,16 +128,12 @@ def _write(result, out: Path) -> None:
     _out.print(f"Report: {page}", markup=False, highlight=False, soft_wrap=True)
 
 
-@app.command(
-    epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`"
-)
+@app.command(epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`")
 def simulate(
     vehicle: VehicleOption,
     log: Annotated[
         Path,
-        typer.Option(
-            "--log", help="Log with the commands and the start state.", show_default=False
-        ),
+        typer.Option("--log", help="Log with the commands and the start state.", show_default=False),
     ],
     out: Annotated[Path, typer.Option("--out", help="Simulated log (CSV or Parquet).")] = Path(
         "simulated.csv"
@@ -233,9 +224,7 @@ def fit(
 
 @app.command(epilog="Example: `jaxmarine demo --out demo-report`")
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path(
-        "demo-report"
-    ),
+    out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path("demo-report"),
 ) -> None:
     """Makes a log of the ROV Tethra with a weak thruster hidden in it, and finds it."""
     _prepare()

@@ -40,9 +40,7 @@ def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
     """The log of a vehicle from rest under commands, with the white noise that its file states."""
     stated = dict(vehicle.sensors)
     noise = np.array([stated[kind] for kind, channels in SENSORS.items() for _ in channels])
-    empty = Log(
-        t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.thruster_names, name
-    )
+    empty = Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.thruster_names, name)
     clean = np.asarray(simulate(vehicle, empty, initial_state(vehicle)).channels)
     rng = np.random.default_rng(seed)
     channels = clean + noise * rng.standard_normal(clean.shape)

@@ -6,7 +6,7 @@ of a step the next sample.
 """
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -27,7 +27,7 @@ _STABLE = 0.8
 class RungeKutta4(diffrax.AbstractERK):
     """The classical fourth-order method, without step control (Kutta 1901)."""
 
-    tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
+    tableau: ClassVar[diffrax.ButcherTableau | diffrax.MultiButcherTableau] = diffrax.ButcherTableau(
         a_lower=(np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0])),
         b_sol=np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6]),
         b_error=np.zeros(4),
@@ -42,10 +42,13 @@ class RungeKutta4(diffrax.AbstractERK):
 
 def _rates(t, state: State, args: tuple[Plant, Input]) -> State:
     plant, drive = args
-    # What is commanded is held; waves go on within the hold.
-    return plant.rates(state, dataclasses.replace(drive, t=t))
+    # Commands are held; the thrust of a slow thruster changes within the hold, and waves go on.
+    thrust = drive.thrust if drive.slope is None else drive.thrust + drive.slope * (t - drive.middle)
+    return plant.rates(state, Input(thrust, drive.command, drive.wrench, t))
 
 
+# The state of a solver that has made no step; with `made_jump` nothing of it is used.
+_FRESH: Any = False
 _TERM = diffrax.ODETerm(_rates)
 
 
@@ -53,7 +56,7 @@ def hold(plant: Plant, state: State, drive: Input, dt) -> State:
     """The state after one hold of length `dt` [s], by one step of the classical Runge-Kutta method."""
     # "lax" keeps the stages differentiable in forward mode.
     after, *_ = RungeKutta4(scan_kind="lax").step(
-        _TERM, drive.t, drive.t + dt, state, (plant, drive), False, True
+        _TERM, drive.t, drive.t + dt, state, (plant, drive), solver_state=_FRESH, made_jump=True
     )
     return after
 
@@ -73,9 +76,7 @@ class Trajectory(eqx.Module):
         return self.channels[:, CHANNELS.index(channel)]
 
 
-def gates(
-    vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()
-) -> Float[np.ndarray, "times placed"]:
+def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np.ndarray, "times placed"]:
     """1 where a placed effect acts at a sample of the log, else 0.
 
     An effect with `since` acts from that time on in the log that it names (in any log, where it
@@ -92,9 +93,7 @@ def gates(
     return out
 
 
-def initial_state(
-    vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6
-) -> State:
+def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6) -> State:
     """A state from position [m], roll, pitch, yaw [rad] and body velocities [m/s, rad/s]."""
     memory = 6 if vehicle.plant().has_memory else 0
     return State(
@@ -132,19 +131,19 @@ def substeps(vehicle: Vehicle, dt: float, speed: float = 1.0) -> int:
 
 
 def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
-    """The inputs over each hold (mean thrust) and at each sample (thrust at that instant).
+    """The inputs over each hold and at each sample.
 
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
     """
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
-    mean, instant = thrust(drive, t, commands)
-    return Input(mean, commands, wrench, t), Input(instant, commands, wrench, t)
+    push = thrust(drive, t, commands)
+    middle = t + 0.5 * step_lengths(t)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle)
+    return over, Input(push.instant, commands, wrench, t)
 
 
 @eqx.filter_jit
-def _roll_out(
-    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int
-):
+def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int):
     plants = jax.vmap(vehicle.plant)(acting)
     over, at = inputs(jax.tree.map(lambda a: a[segment], plants), t, commands, wrench)
 

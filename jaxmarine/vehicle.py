@@ -57,12 +57,17 @@ class State(eqx.Module):
 
 
 class Input(eqx.Module):
-    """What drives the vehicle over one hold: thrust [N] before inflow loss, commands, a wrench, the time."""
+    """What drives the vehicle: thrust [N] before inflow loss, commands, a wrench, the time [s].
+
+    Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`.
+    """
 
     thrust: Float[Array, " thrusters"]
     command: Float[Array, " thrusters"]
     wrench: Wrench
     t: Float[Array, ""]
+    slope: Float[Array, " thrusters"] | None = None
+    middle: Float[Array, ""] | None = None
 
 
 class Body(eqx.Module):
@@ -266,9 +271,7 @@ class Plant(eqx.Module):
         motion = self._motion(state, drive)
         omega = state.velocity[3:]
         current = apply(motion.rotation.T, self.water)
-        relative_dot = (
-            nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
-        )
+        relative_dot = nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
         along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
         thrust = drive.thrust * (1.0 - self.drive.inflow * along)
         out = (

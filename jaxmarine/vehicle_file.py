@@ -140,9 +140,7 @@ class Body(_Table):
     @pydantic.model_validator(mode="after")
     def _has_inertia(self) -> "Body":
         if self.inertia is None and self.mass_matrix is None:
-            raise ValueError(
-                "lacks `inertia`; give 3 rows of 3 numbers [kg m²], the inertia about `o`."
-            )
+            raise ValueError("lacks `inertia`; give 3 rows of 3 numbers [kg m²], the inertia about `o`.")
         return self
 
 
@@ -199,9 +197,7 @@ class Sensors(_Table):
     velocity: Number | None = Field(default=None, gt=0, description="a positive number [m/s]")
     rate: Number | None = Field(default=None, gt=0, description="a positive number [rad/s]")
     acceleration: Number | None = Field(default=None, gt=0, description="a positive number [m/s²]")
-    angular_acceleration: Number | None = Field(
-        default=None, gt=0, description="a positive number [rad/s²]"
-    )
+    angular_acceleration: Number | None = Field(default=None, gt=0, description="a positive number [rad/s²]")
 
     def stated(self) -> dict[str, float]:
         """The kinds that are given, with their standard deviations in SI units."""
@@ -373,9 +369,7 @@ class VehicleFile(_Table):
 CheckEffect = Callable[[EffectEntry, VehicleFile], None]
 
 
-def read_vehicle_file(
-    path: str | os.PathLike[str], check_effect: CheckEffect | None = None
-) -> VehicleFile:
+def read_vehicle_file(path: str | os.PathLike[str], check_effect: CheckEffect | None = None) -> VehicleFile:
     """Read and check a vehicle file; raises `InputError` with one sentence.
 
     `check_effect` raises a `ValueError` for an effect that it does not know; its message continues

@@ -21,18 +21,14 @@ def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -
     """The catalogue's suspect of that effect and target; ValueError says what there is instead."""
     by_name = {cls.name: cls for cls in catalogue}
     if effect not in by_name:
-        raise ValueError(
-            f"names `{effect}`, which is no known effect; {did_you_mean(effect, by_name)}"
-        )
+        raise ValueError(f"names `{effect}`, which is no known effect; {did_you_mean(effect, by_name)}")
     suspects = by_name[effect].suspects(craft)
     for suspect in suspects:
         if suspect.target == target:
             return suspect
     targets = ", ".join(str(suspect.target) for suspect in suspects)
     if not suspects:
-        raise ValueError(
-            f"is `{effect}`, which this vehicle's free axes and thrusters do not allow."
-        )
+        raise ValueError(f"is `{effect}`, which this vehicle's free axes and thrusters do not allow.")
     raise ValueError(f"has the target `{target}`, but `{effect}` takes one of: {targets}.")
 
 
@@ -46,9 +42,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
             raise ValueError("is a learned term and needs `arrays` and `inputs`.")
         for name in entry.inputs:
             if not signals_known(name, file.thruster_names):
-                raise ValueError(
-                    f"has the input `{name}`, which is neither a signal nor a thruster."
-                )
+                raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
         return
     if entry.effect == MLPDamping.name:
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
@@ -82,10 +76,7 @@ def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
         thrusters=Thrusters(
             position=column("position", (3,)),
             direction=column("direction", (3,)),
-            **{
-                name: column(name)
-                for name in ("max_thrust", "deadband", "lag", "delay", "saturation")
-            },
+            **{name: column(name) for name in ("max_thrust", "deadband", "lag", "delay", "saturation")},
         ),
         density=number(file.environment.density),
         gravity=number(file.environment.gravity),
@@ -121,9 +112,7 @@ def load_vehicle(
                     )
             except ValueError as error:
                 raise InputError(f"{path}: `effect[{number}]` {error}") from error
-            used = {
-                name: value for name, value in entry.parameters.items() if name in suspect.slots
-            }
+            used = {name: value for name, value in entry.parameters.items() if name in suspect.slots}
             effect = place(suspect, vehicle, used)
         placed.append(Placed(effect, entry.target, entry.since, entry.since_log))
     return vehicle.place(*placed)
@@ -138,11 +127,14 @@ def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedW
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
-            arrays = {name: jnp.asarray(stored[name], float) for name in stored.files}
+            arrays = {name: np.asarray(stored[name], float) for name in stored.files}
         if entry.effect == MLPDamping.name:
             return MLPDamping.restored(arrays, entry.inputs)
         return LearnedWrench(
-            **arrays, target=str(entry.target), inputs=entry.inputs, thrusters=file.thruster_names
+            **{name: jnp.asarray(value) for name, value in arrays.items()},
+            target=str(entry.target),
+            inputs=entry.inputs,
+            thrusters=file.thruster_names,
         )
     except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
         raise InputError(f"{beside}: is no file of arrays of a learned term ({error}).") from error
@@ -165,7 +157,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
             kind = placed.target or placed.effect.name
             beside = path.with_name(f"{path.stem}_{kind}_{number}.npz")
             with written_whole(beside) as whole, open(whole, "wb") as stream:
-                np.savez(stream, **placed.effect.arrays())
+                np.savez(stream, allow_pickle=False, **placed.effect.arrays())
             entry |= {"arrays": beside.name, "inputs": placed.effect.inputs}
         else:
             entry |= {"parameters": dict(_parameters(placed, vehicle))}

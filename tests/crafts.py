@@ -45,9 +45,7 @@ def brick(**changes) -> Vehicle:
             buoyancy=jnp.asarray(parts["buoyancy"]),
         ),
         added_mass=jnp.diag(jnp.asarray(parts["added"])),
-        damping=Damping(
-            jnp.diag(jnp.asarray(parts["linear"])), jnp.diag(jnp.asarray(parts["quadratic"]))
-        ),
+        damping=Damping(jnp.diag(jnp.asarray(parts["linear"])), jnp.diag(jnp.asarray(parts["quadratic"]))),
         thrusters=Thrusters(jnp.zeros((0, 3)), jnp.zeros((0, 3)), *(jnp.zeros(0),) * 5),
         density=jnp.asarray(1025.0),
         gravity=jnp.asarray(9.81),
@@ -106,9 +104,7 @@ def independent_run(
     """All channels that the independent plant logs, [times, 18], from the file of that name."""
     dt = t[1] - t[0]
     begun = sorted({0, *(int(np.searchsorted(t, e.since)) for e in effects if e.since is not None)})
-    schedule = [
-        (k, [e for e in effects if e.since is None or e.since <= t[k] + 1e-9]) for k in begun
-    ]
+    schedule = [(k, [e for e in effects if e.since is None or e.since <= t[k] + 1e-9]) for k in begun]
     vehicle = independent(name)
     models = [(k, blind.Model(vehicle, acting)) for k, acting in schedule]
     thrust = 0.0

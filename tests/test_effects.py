@@ -238,9 +238,7 @@ def test_a_wrong_sign_would_be_noticed():
     wrong = placed(vehicle, blind.Effect("hull_lift", None, {"Y_uv": 5.0, "N_uv": -1.0})).effect
     loaded = dataclasses.replace(
         whole,
-        placed=tuple(
-            Placed(wrong) if isinstance(p.effect, type(wrong)) else p for p in whole.placed
-        ),
+        placed=tuple(Placed(wrong) if isinstance(p.effect, type(wrong)) else p for p in whole.placed),
     )
     track = simulate(loaded, log_of(loaded, FINE, commands), start)
     expected = independent_run("cybership2", [right], FINE, commands, rows, 0.0125)
@@ -270,9 +268,7 @@ def a_learned_wrench(vehicle: Vehicle) -> LearnedWrench:
 
 def test_an_untrained_learned_term_does_nothing():
     vehicle = packaged("tethra")
-    fresh = dataclasses.replace(
-        a_learned_wrench(vehicle), weight_2=jnp.zeros(8), bias_2=jnp.zeros(())
-    )
+    fresh = dataclasses.replace(a_learned_wrench(vehicle), weight_2=jnp.zeros(8), bias_2=jnp.zeros(()))
     start, _ = random_start(vehicle, 1)
     drive = Input(jnp.ones(4), jnp.ones(4), jnp.zeros(6), jnp.asarray(1.0))
     motion = vehicle.plant()._motion(start, drive)

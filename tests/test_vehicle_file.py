@@ -102,9 +102,7 @@ def test_the_rigid_body_matrix_is_the_one_worked_by_hand(tmp_path):
 def test_the_rigid_body_matrix_gives_the_kinetic_energy_of_point_masses(tmp_path):
     rng = np.random.default_rng(1)
     points, masses = rng.normal(size=(5, 3)), rng.uniform(1, 2, 5)
-    inertia = sum(
-        m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, points, strict=True)
-    )
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, points, strict=True))
     cog = masses @ points / masses.sum()
     text = (
         MINIMAL.replace("mass = 2.0", f"mass = {masses.sum()}")

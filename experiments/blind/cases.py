@@ -27,9 +27,7 @@ from .vehicle import DOFS, FOLDER, Array, Vehicle, dumps, from_tables, load, per
 
 DT = 0.1  # s
 STEEPEST = 1.05  # rad, pitch and roll that a case may reach
-STRANGE = (
-    0.3  # squared share of an effect outside the catalogue that the nearest named one has to leave
-)
+STRANGE = 0.3  # squared share of an effect outside the catalogue that the nearest named one has to leave
 SPREAD = 0.15  # relative error of the coefficients of a wrong vehicle file
 RIVALS = (
     {"input_delay", "thruster_lag"},
@@ -90,9 +88,7 @@ def roll_out(
     schedule = [
         (
             k,
-            Model(
-                vehicle, [e for e in named if e.since is None or round(e.since / DT) <= k], unnamed
-            ),
+            Model(vehicle, [e for e in named if e.since is None or round(e.since / DT) <= k], unnamed),
         )
         for k in starts
     ]
@@ -167,9 +163,7 @@ def make_case(
     rng = np.random.default_rng([seed, 1])
     raw = with_noise(load(vehicle).raw, noise)
     truth = from_tables(raw)
-    hidden = [
-        replace(e, parameters=rounded(e.parameters)) if isinstance(e, Effect) else e for e in hidden
-    ]
+    hidden = [replace(e, parameters=rounded(e.parameters)) if isinstance(e, Effect) else e for e in hidden]
     tau = float(rng.uniform(1.0, 5.0))
 
     def log(duration: float, effects: Sequence[Hidden], level: float) -> Log:
@@ -325,17 +319,12 @@ def pair(
     train: float,
 ) -> list[Hidden]:
     """Two effects of these names, or none where they are alike or too much for the vehicle."""
-    made = [
-        named(vehicle, n, s, excitation, rng, train) for n, s in zip(both, severities, strict=True)
-    ]
+    made = [named(vehicle, n, s, excitation, rng, train) for n, s in zip(both, severities, strict=True)]
     a, b = made
     if a is None or b is None:
         return []
     log = trial(vehicle, excitation)
-    if (
-        likeness(vehicle, replace(a, since=None), replace(b, since=None), log.run, log.commands)
-        > 0.9
-    ):
+    if likeness(vehicle, replace(a, since=None), replace(b, since=None), log.run, log.commands) > 0.9:
         return []
     try:
         trial(vehicle, excitation, always([a, b]))
@@ -410,9 +399,7 @@ class Designer:
                 fit = catalogue.names(vehicle)
                 first = self.deal(kind, self.known, fit)
                 second = self.deal(kind, self.known, [n for n in fit if compatible(first, n)])
-                if made := pair(
-                    vehicle, (first, second), sizes, excitation, self.rng, self.plan.train
-                ):
+                if made := pair(vehicle, (first, second), sizes, excitation, self.rng, self.plan.train):
                     return made
         size, found = float(sizes[0]), None
         while found is None:
@@ -423,9 +410,7 @@ class Designer:
                 continue
             barred = DAMP if kind == "misfit" else ()
             content = [n for n in self.known if n not in barred]
-            name = self.deal(
-                kind, content, [n for n in catalogue.names(vehicle) if n not in barred]
-            )
+            name = self.deal(kind, content, [n for n in catalogue.names(vehicle) if n not in barred])
             found = named(vehicle, name, size, excitation, self.rng, self.plan.train)
         return [found]
 
@@ -500,9 +485,7 @@ def main() -> None:
     parser.add_argument(
         "--severity", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range for all kinds"
     )
-    parser.add_argument(
-        "--vehicles", nargs="+", default=sorted(p.stem for p in FOLDER.glob("*.toml"))
-    )
+    parser.add_argument("--vehicles", nargs="+", default=sorted(p.stem for p in FOLDER.glob("*.toml")))
     a = parser.parse_args()
     span = None if a.severity is None else (a.severity[0], a.severity[1])
     plan = Plan(a.nulls, a.singles, a.pairs, a.outside, a.misfit, a.train, a.test, span)

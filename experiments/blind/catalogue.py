@@ -102,9 +102,7 @@ def damping_draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generato
     less = most > 0.1 and rng.random() < 0.3
     sense = -1.0 if less else 1.0
     high = most if less else 8.0
-    return Draw(
-        lambda a: Effect(name, dof, {"value": sense * a * unit}), 0.01, min(0.5, high), high
-    )
+    return Draw(lambda a: Effect(name, dof, {"value": sense * a * unit}), 0.01, min(0.5, high), high)
 
 
 def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Draw:
@@ -158,15 +156,11 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
         case "trim":
             arm = np.linalg.norm(vehicle.weight * vehicle.cog - vehicle.buoyancy * vehicle.cob)
             c = shares(rng, 3) * arm / vehicle.buoyancy
-            return Draw(
-                effect(lambda a: dict(zip("xyz", (a * c).tolist(), strict=True))), 0.01, 0.2, 0.7
-            )
+            return Draw(effect(lambda a: dict(zip("xyz", (a * c).tolist(), strict=True))), 0.01, 0.2, 0.7)
         case "linear_damping" | "quadratic_damping":
             return damping_draw(name, vehicle, s, rng)
         case "coupled_damping":
-            to, by = COUPLINGS[
-                rng.choice([k for k, c in enumerate(COUPLINGS) if set(c) <= set(dofs)])
-            ]
+            to, by = COUPLINGS[rng.choice([k for k, c in enumerate(COUPLINGS) if set(c) <= set(dofs)])]
             unit = np.sqrt(s.drag[DOFS.index(to)] * s.drag[DOFS.index(by)])
             return Draw(effect(lambda a: {"value": one * a * unit}, f"{to}<-{by}"), 0.02, 0.4, 1.5)
         case "hull_lift":
@@ -174,14 +168,10 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             unit[[1, 3]] = np.sqrt(unit[[0, 2]] * unit[[1, 3]])
             unit *= rng.uniform(0.5, 1.0, 4) * np.array([1.0, sign(rng), 1.0, sign(rng)])
             keys = ("Y_uv", "N_uv") if planar else ("Y_uv", "N_uv", "Z_uw", "M_uw")
-            return Draw(
-                effect(lambda a: dict(zip(keys, (a * unit).tolist(), strict=False))), 0.02, 0.5, 5.0
-            )
+            return Draw(effect(lambda a: dict(zip(keys, (a * unit).tolist(), strict=False))), 0.02, 0.5, 5.0)
         case "fluid_memory":
             tau = float(np.exp(rng.uniform(np.log(0.5), np.log(5.0))))
-            return Draw(
-                effect(lambda a: {"gain": a * s.drag[i], "time_constant": tau}, dof), 0.05, 0.8, 6.0
-            )
+            return Draw(effect(lambda a: {"gain": a * s.drag[i], "time_constant": tau}, dof), 0.05, 0.8, 6.0)
         case "constant_wrench":
             return Draw(effect(lambda a: {"value": one * a * s.wrench[i]}, dof), 0.01, 0.4, 4.0)
         case "thruster_gain":
@@ -207,9 +197,7 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             return Draw(effect(lambda a: {"per_speed": a / (3.0 * top)}), 0.02, 0.3, 0.9)
         case "velocity_lever_arm":
             c = shares(rng, len(xyz))
-            return Draw(
-                effect(lambda a: dict(zip(xyz, (a * c).tolist(), strict=True))), 0.01, 0.15, 3.0
-            )
+            return Draw(effect(lambda a: dict(zip(xyz, (a * c).tolist(), strict=True))), 0.01, 0.15, 3.0)
         case "velocity_scale":
             sense = sign(rng)
             return Draw(effect(lambda a: {"factor": 1.0 + sense * a}), 0.01, 0.1, 0.5)
@@ -220,9 +208,7 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
         case "gyro_bias":
             keys = ("r",) if planar else ("p", "q", "r")
             c = shares(rng, len(keys))
-            return Draw(
-                effect(lambda a: dict(zip(keys, (a * c).tolist(), strict=True))), 0.002, 0.02, 0.3
-            )
+            return Draw(effect(lambda a: dict(zip(keys, (a * c).tolist(), strict=True))), 0.002, 0.02, 0.3)
         case _:
             raise ValueError(f"Effect `{name}` is not in the catalogue.")
 

@@ -24,14 +24,11 @@ LOGS = ("train.csv", "test.csv")
 def hidden(answer: dict[str, Any]) -> list[Effect]:
     """The effects that an answer states."""
     return [
-        Effect(f["accept"][0][0], f["accept"][0][1], f["parameters"], f["since"])
-        for f in answer["findings"]
+        Effect(f["accept"][0][0], f["accept"][0][1], f["parameters"], f["since"]) for f in answer["findings"]
     ]
 
 
-def predicted(
-    vehicle: Vehicle, effects: list[Effect], commands: Array, since: bool, heading: float
-) -> Array:
+def predicted(vehicle: Vehicle, effects: list[Effect], commands: Array, since: bool, heading: float) -> Array:
     """All 18 signals of an open-loop run from rest, (K, 18); `since`: effects may begin within."""
     starts = sorted({0, *(round(e.since * 10) for e in effects if since and e.since is not None)})
     schedule = [

@@ -12,9 +12,7 @@ from .catalogue import Draw, Scales, free_dofs
 from .plant import Outside
 from .vehicle import DOFS, Array, Vehicle
 
-Force = Callable[
-    [Array | float, Array, Array], Array
-]  # of time, state and velocity through the water
+Force = Callable[[Array | float, Array, Array], Array]  # of time, state and velocity through the water
 
 
 def on(dof: str, force: Force) -> Force:
@@ -65,9 +63,7 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
     u, r = s.speed[0], s.speed[5]
     phase = rng.uniform(0.0, 2.0 * np.pi)
     match name:
-        case (
-            "depth_force"
-        ):  # hull compression and stratified water: heave force against depth, 5 m a turn
+        case "depth_force":  # hull compression and stratified water: heave force against depth, 5 m a turn
             return wrench_draw(
                 name,
                 "heave",
@@ -75,9 +71,7 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
                 s.wrench[2],
                 lambda t, x, nu: np.sin(2.0 * np.pi * x[2] / 5.0 + phase),
             )
-        case (
-            "heading_force"
-        ):  # twice per turn, as a wind or a magnetic pull has it and a current has not
+        case "heading_force":  # twice per turn, as a wind or a magnetic pull has it and a current has not
             return wrench_draw(
                 name, "sway", ("psi",), s.wrench[1], lambda t, x, nu: np.sin(2.0 * x[5] + phase)
             )
@@ -91,21 +85,15 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
                 s.wrench[i] / u,
                 lambda t, x, nu: np.sin(x[5] + phase) * nu[0],
             )
-        case (
-            "stick_slip"
-        ):  # dry friction with a Stribeck peak: much at a creep, little when under way
+        case "stick_slip":  # dry friction with a Stribeck peak: much at a creep, little when under way
             return wrench_draw(
                 name,
                 "surge",
                 ("u",),
                 -s.wrench[0],
-                lambda t, x, nu: (
-                    (0.3 + 0.7 * np.exp(-4.0 * (nu[0] / u) ** 2)) * np.tanh(10.0 * nu[0] / u)
-                ),
+                lambda t, x, nu: (0.3 + 0.7 * np.exp(-4.0 * (nu[0] / u) ** 2)) * np.tanh(10.0 * nu[0] / u),
             )
-        case (
-            "dynamic_trim"
-        ):  # squat: pitch moment, or for a planar craft a yaw moment, even in speed
+        case "dynamic_trim":  # squat: pitch moment, or for a planar craft a yaw moment, even in speed
             dof = "pitch" if 4 in vehicle.free else "yaw"
             i = DOFS.index(dof)
             return wrench_draw(name, dof, ("u",), s.wrench[i] / u**2, lambda t, x, nu: nu[0] ** 2)
@@ -115,9 +103,7 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
                 name, "yaw", ("u", "r"), unit, lambda t, x, nu: (np.abs(nu[0]) / u - 0.8) * nu[5]
             )
         case "bank_force":  # a wall along the track: sway force that falls with distance in y
-            return wrench_draw(
-                name, "sway", ("y",), s.wrench[1], lambda t, x, nu: np.cos(x[1] + phase)
-            )
+            return wrench_draw(name, "sway", ("y",), s.wrench[1], lambda t, x, nu: np.cos(x[1] + phase))
         case "hysteresis":
             return Draw(
                 lambda a: Outside(

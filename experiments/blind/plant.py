@@ -320,9 +320,7 @@ def simulate(
     ends = [k for k, _ in schedule[1:]] + [samples]
     for (first, model), last in zip(schedule, ends, strict=True):
         drive = model.drive(commands)
-        steps = [
-            (o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in model.intervals(dt, step)
-        ]
+        steps = [(o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in model.intervals(dt, step)]
         alive = model.decay(0.0)
         lagging = bool(alive.any())
         for k in range(first, last):

@@ -101,9 +101,7 @@ def from_tables(raw: dict[str, Any]) -> Vehicle:
         free=tuple(DOFS.index(d) for d in raw.get("dof", DOFS)),
         density=environment.get("density", 1025.0),
         gravity=gravity,
-        rigid=rigid_mass(mass, cog, np.array(body["inertia"], float))
-        if rigid is None
-        else square(rigid),
+        rigid=rigid_mass(mass, cog, np.array(body["inertia"], float)) if rigid is None else square(rigid),
         added=square(raw["added_mass"]["matrix"]),
         linear=square(raw["damping"]["linear"]),
         quadratic=square(raw["damping"]["quadratic"]),

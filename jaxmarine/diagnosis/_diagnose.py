@@ -7,8 +7,8 @@ import numpy as np
 
 from .._types import CHANNELS
 from ..effects import CATALOGUE, AbstractEffect, place
-from ..fitting import cut
-from ..logs import Log, sensor_noise
+from ..fitting import cut, noise_of
+from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Damping, Placed, Vehicle
 from ._coefficients import settle
@@ -98,7 +98,7 @@ def diagnose(
     start = bench.refine(bench.frozen(bench.start()))
     if dense:
         notes.append(
-            "Many coefficients of the file are off together; they were refitted and are listed as recalibrated."
+            "Many coefficients of the file are off together; they were refitted and stand as recalibrated."
         )
     notes += [
         f"{one.dof}: {', '.join(one.tied)} would explain the missing wrench as well as one of "
@@ -150,9 +150,7 @@ def _speed(logs: Sequence[Log]) -> float:
 
 
 def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
-    noise = np.nanmedian(
-        np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs]), axis=0
-    )
+    noise = noise_of(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speed(logs))
     data = cut(vehicle, logs, noise, _window(logs, window), split=split)
     families, layout = saturate(vehicle, catalogue)
@@ -168,9 +166,7 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
     from .._types import SENSORS
 
     stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
-    free = [
-        i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])
-    ]
+    free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
     if not free:
         return bench
     noise = bench.noise.copy()
@@ -219,15 +215,13 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
 
 
 def _is_white(bench: Workbench, stats: Reduced, phi: float) -> bool:
-    """Whether nothing but sensor noise is left: its size is right, and the windows' scores scatter like it."""
+    """Whether only sensor noise is left: its size is right, and the windows' scores scatter like it."""
     per_sample = stats.chi2.sum() / bench.samples
     size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
     return bool(per_sample < size and phi < 1.6)
 
 
-def _stand_in(
-    bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]
-) -> int | None:
+def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]) -> int | None:
     """The member that an unknown dependence replaces best, if one does."""
     if not unknown or not model.members:
         return None
@@ -288,9 +282,7 @@ def _findings(
 ) -> tuple[Finding, ...]:
     std = np.sqrt(np.diag(_covariance(bench, model, stats)))
     out = []
-    for i, (member, where) in enumerate(
-        zip(model.members, bench.slices(model.members), strict=True)
-    ):
+    for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
         suspect = bench.layout.suspects[member.suspect]
         values = bench.layout.neutral_of(member.suspect) + model.z[where]
         units = suspect.effect.units
@@ -331,14 +323,10 @@ def _alternatives(
         if trial.member.suspect == member.suspect:
             continue
         behind = 0.5 * (
-            (best - trial.saved) / phi
-            + penalty(bench, trial.member)
-            - penalty(bench, trials[0].member)
+            (best - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, trials[0].member)
         )
         close = 2 * behind < CLOSE
-        out.append(
-            Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close))
-        )
+        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
     close = [a for a in out if a.indistinguishable][:2]
     return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
 

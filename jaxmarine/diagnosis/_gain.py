@@ -52,16 +52,14 @@ def predictions(
     vehicle = candidates[0].vehicle
     data = cut(vehicle, [log], noise, length, stride, split, [segment])
     steps = data.windows.step.shape[1]
-    begin = int(round(run_in / length * steps / split)) * split
+    begin = round(run_in / length * steps / split) * split
     known = jnp.arange(steps) < begin
     seen = eqx.tree_at(lambda w: w.weight, data.windows, data.windows.weight * known[None, :, None])
     weight = np.asarray(data.windows.weight)
     out = []
     for one in candidates:
         segments, size = one.theta.shape
-        plant = SaturatedPlant(
-            one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed)))
-        )
+        plant = SaturatedPlant(one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed))))
         problem = Problem(
             plant,
             data.records,
@@ -90,9 +88,10 @@ def _rms(error: np.ndarray, names: tuple[str, ...]) -> float | None:
     """Root mean square length of the vector of those channels, None where none was measured."""
     columns = [CHANNELS.index(name) for name in names]
     squares = error[..., columns] ** 2
-    if not np.isfinite(squares).any():
+    seen = np.isfinite(squares).sum(axis=(0, 1))
+    if not seen.any():
         return None
-    return float(np.sqrt(np.nansum(np.nanmean(squares, axis=(0, 1)))))
+    return float(np.sqrt((np.nansum(squares, axis=(0, 1)) / np.maximum(seen, 1)).sum()))
 
 
 def gain(

@@ -96,9 +96,7 @@ def knots(bench: Workbench, model: Model) -> Knots:
     for i, source in enumerate(bench.data.logs):
         here = log == i
         track = smooth_states(source, bench.vehicle.dof)
-        sample = np.clip(
-            np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1
-        )
+        sample = np.clip(np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1)
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
         if source.commands is not None:
@@ -110,9 +108,7 @@ def knots(bench: Workbench, model: Model) -> Knots:
     spans = np.cumsum([0.0, *[source.duration for source in bench.data.logs]])[:-1]
     signals["t"] = t + spans[log][:, None]
     signals = {name: values for name, values in signals.items() if np.ptp(values) > 1e-6}
-    turns = np.asarray(
-        jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
-    )
+    turns = np.asarray(jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6])))
     return Knots(
         stats=Reduced(chi2, g, h),
         width=len(model.z),
@@ -143,9 +139,7 @@ def missing_wrench(k: Knots) -> MissingWrench:
         h = k.stats.h[w][n:, n:][np.ix_(index, index)]
         g = k.stats.g[w][n:][index]
         scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(
-            scale, scale
-        )
+        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(scale, scale)
         wrench[w][:, free] = (-cov @ g).reshape(count, -1)
         std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
     return MissingWrench(

@@ -37,9 +37,7 @@ def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
-def learn(
-    k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]
-) -> tuple[LearnedWrench, ...]:
+def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -> tuple[LearnedWrench, ...]:
     """One network per axis, fitted together on the knots' chi-square by Levenberg-Marquardt.
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
@@ -54,9 +52,7 @@ def learn(
     def built(key) -> tuple[LearnedWrench, ...]:
         keys = jax.random.split(key, len(found))
         return tuple(
-            learned_wrench(
-                one.dof, one.signals, thrusters, low, high, float(size[one.axis]), key, HIDDEN
-            )
+            learned_wrench(one.dof, one.signals, thrusters, low, high, float(size[one.axis]), key, HIDDEN)
             for one, (low, high), key in zip(found, ranges, keys, strict=True)
         )
 

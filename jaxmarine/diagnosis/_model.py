@@ -155,9 +155,7 @@ class Workbench:
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
         taken = {self.layout.suspects[m.suspect].label for m in model.members if m.since is None}
-        out = np.full(
-            self.width(model.members), 1e-8
-        )  # a trace, for what the data do not determine
+        out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
         for j, c in enumerate(self.base):
             held = model.frozen or c.label in taken
             out[j] = (1e12 if held else 1.0) / c.prior**2
@@ -181,7 +179,7 @@ class Workbench:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.count, 12)), np.inf)
 
     def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-9) -> Model:
-        """Gauss-Newton on all numbers of the model, until a step promises less than `rtol` of the chi-square."""
+        """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square."""
         z = np.zeros(SLOTS)
         z[: len(model.z)] = model.z
         out = refine_windows(self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol)
@@ -205,8 +203,7 @@ class Workbench:
         seen = np.asarray(problem.windows.weight) > 0
         with np.errstate(invalid="ignore"):
             return np.sqrt(
-                (residual**2 * seen).sum((0, 1))
-                / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan)
+                (residual**2 * seen).sum((0, 1)) / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan)
             )
 
     def promise(self, model: Model) -> float:
@@ -319,8 +316,6 @@ def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, .
                 axis = ("surge", "sway", "heave", "roll", "pitch", "yaw").index(str(suspect.target))
                 size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
                 out.append(
-                    Coefficient(
-                        suspect.label, axis, place, float(value[axis]), size, kind.units["value"]
-                    )
+                    Coefficient(suspect.label, axis, place, float(value[axis]), size, kind.units["value"])
                 )
     return tuple(out)

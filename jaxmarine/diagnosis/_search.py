@@ -68,20 +68,13 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     ratios = []
     for i in range(len(bench.layout.suspects)):
         own = bench.own(i)
-        x = np.linalg.lstsq(
-            known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12
-        )[0]
+        x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
         combined = own - known @ x
         scores = stats.g @ combined
         information = np.einsum("ij,wik,kj->j", combined, stats.h, combined, optimize=True)
         full = np.einsum("ij,wik,kj->j", own, stats.h, own, optimize=True)
         usable = information > 1e-6 * full + 1e-12
-        ratios += (
-            ((scores - scores.mean(0)) ** 2)
-            .sum(0)[usable]
-            .__truediv__(information[usable])
-            .tolist()
-        )
+        ratios += ((scores - scores.mean(0)) ** 2).sum(0)[usable].__truediv__(information[usable]).tolist()
     return max(1.0, float(np.median(ratios)))
 
 
@@ -123,17 +116,14 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     return out
 
 
-def _trial(
-    bench: Workbench, model: Model, member: Member, value: np.ndarray | None = None
-) -> Trial:
-    if value is None:
-        value = np.zeros(bench.layout.columns[member.suspect].shape[1])
-    fitted = bench.refine(bench.with_member(model, member, value), max_steps=12, rtol=1e-4)
+def _trial(bench: Workbench, model: Model, member: Member, value: np.ndarray | None = None) -> Trial:
+    start = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
+    fitted = bench.refine(bench.with_member(model, member, start), max_steps=12, rtol=1e-4)
     return Trial(member, fitted, 2 * (model.cost - fitted.cost))
 
 
 def penalty(bench: Workbench, member: Member) -> float:
-    """Chi-square that the parameters of a member must pay for: log(n) each (Schwarz), one more for a beginning."""
+    """Chi-square that a member's parameters, and its beginning, must pay for: log(n) each (Schwarz)."""
     own = bench.layout.columns[member.suspect].shape[1] + (member.since is not None)
     return own * np.log(bench.samples)
 
@@ -161,9 +151,7 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
     return phi * (2 * own + 2 * np.log(tried) + 2 * MARGIN)
 
 
-def significant(
-    bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float
-) -> bool:
+def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:
     """Whether a trial saves enough, on windows in general and not by chance on a few."""
     coefficient = bench.layout.suspects[trial.member.suspect].label in {c.label for c in bench.base}
     if coefficient:
@@ -190,9 +178,7 @@ def search(
         best = max([t.saved for t in trials if np.isfinite(t.saved)], default=0.0)
         if best > PROBED:
             progress(f"round {len(rounds) + 1}: refitting the best suspects")
-            trials += [
-                _trial(bench, model, member, value) for member, value in probes(bench, model, best)
-            ]
+            trials += [_trial(bench, model, member, value) for member, value in probes(bench, model, best)]
         trials = [t for t in trials if np.isfinite(t.saved)]
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
         if not trials:

@@ -98,9 +98,7 @@ def _t(per_window: np.ndarray) -> float:
     return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
 
 
-def _best_signals(
-    ledger: _Ledger, axis: int
-) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
+def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
     signals = ledger.k.signals
 
     def saved(names: tuple[str, ...]) -> np.ndarray:

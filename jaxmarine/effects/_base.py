@@ -165,6 +165,4 @@ def free(craft: Craft, *dofs: str) -> bool:
 
 def per_dof(effect: type[AbstractEffect], craft: Craft) -> tuple[Suspect, ...]:
     """One suspect per free degree of freedom, for an effect with a field `value` of six."""
-    return tuple(
-        Suspect(effect, dof, {"value": (i,)}) for i, dof in enumerate(DOFS) if dof in craft.dof
-    )
+    return tuple(Suspect(effect, dof, {"value": (i,)}) for i, dof in enumerate(DOFS) if dof in craft.dof)

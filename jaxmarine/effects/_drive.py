@@ -140,9 +140,7 @@ class ThrusterGain(DriveEffect):
     units = {"factor": "1"}
     confused_with = ("inflow_loss", "thrust_curve", "velocity_scale")
     shown_by = "each thruster driven by itself"
-    advice = (
-        "inspect the propeller and the motor named: weed, damage, a loose coupling, a dead phase"
-    )
+    advice = "inspect the propeller and the motor named: weed, damage, a loose coupling, a dead phase"
 
     factor: Float[Array, " thrusters"]
 

@@ -90,7 +90,9 @@ class Buoyancy(LoadEffect):
     name = "buoyancy"
     units = {"force": "N"}
     confused_with = ("payload", "constant_wrench:heave")
-    shown_by = "roll and pitch of some tens of degrees: a force in earth axes turns, one in body axes does not"
+    shown_by = (
+        "roll and pitch of some tens of degrees: a force in earth axes turns, one in body axes does not"
+    )
     advice = "trim the ballast: the vehicle is lighter or heavier than the file says (salinity, foam, leak)"
 
     force: Scalar
@@ -124,9 +126,7 @@ class Trim(LoadEffect):
     units = {"x": "m", "y": "m", "z": "m"}
     confused_with = ("payload", "constant_wrench:roll", "constant_wrench:pitch")
     shown_by = "rest, and roll and pitch of some tens of degrees"
-    advice = (
-        "check where foam and ballast sit: the centre of buoyancy has moved against that of gravity"
-    )
+    advice = "check where foam and ballast sit: the centre of buoyancy has moved against that of gravity"
 
     x: Scalar
     y: Scalar
@@ -146,6 +146,4 @@ class Trim(LoadEffect):
 
     def __call__(self, load: Load) -> Load:
         shift = jnp.stack([self.x, self.y, self.z])
-        return dataclasses.replace(
-            load, buoyancy_moment=load.buoyancy_moment + load.buoyancy * shift
-        )
+        return dataclasses.replace(load, buoyancy_moment=load.buoyancy_moment + load.buoyancy * shift)

@@ -140,9 +140,7 @@ class VelocityInEarthAxes(SensorEffect):
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         body = readings.nu[:3]
-        return _with_velocity(
-            readings, (1.0 - self.fraction) * body + self.fraction * apply(rotation, body)
-        )
+        return _with_velocity(readings, (1.0 - self.fraction) * body + self.fraction * apply(rotation, body))
 
 
 class GyroBias(SensorEffect):

@@ -17,9 +17,7 @@ class ConstantWrench(WrenchEffect):
     units = {"value": "N or N m"}
     confused_with = ("buoyancy", "trim", "steady_current")
     shown_by = "rest, and roll, pitch and heading changed widely"
-    advice = (
-        "a steady push in body axes: a thruster that never stops, a bent fin, a cable under tension"
-    )
+    advice = "a steady push in body axes: a thruster that never stops, a bent fin, a cable under tension"
 
     value: Float[Array, "6"]
 
@@ -182,11 +180,7 @@ class TetherDrag(WrenchEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return (
-            (Suspect(cls, None, {"coefficient": (0,)}),)
-            if free(craft, "surge", "sway", "heave")
-            else ()
-        )
+        return (Suspect(cls, None, {"coefficient": (0,)}),) if free(craft, "surge", "sway", "heave") else ()
 
     def __call__(self, motion: Motion) -> Wrench:
         v_r = motion.nu_r[:3]

@@ -89,7 +89,7 @@ def fit(
     entries: Selection = "all",
     dissipative: bool = False,
     window: float = 4.0,
-    max_steps: int = 50,
+    max_steps: int = 100,
     throw: bool = True,
     noise: Float[np.ndarray, "18"] | None = None,
 ) -> Fit:
@@ -160,9 +160,7 @@ def _judged(estimate: Estimate, units: Units) -> Estimate:
     """The estimate with its result in words that say what to change."""
     advice = "start nearer, give a prior, or take a shorter `window`."
     if not estimate.finite:
-        return dataclasses.replace(
-            estimate, converged=False, result=f"the simulation diverged; {advice}"
-        )
+        return dataclasses.replace(estimate, converged=False, result=f"the simulation diverged; {advice}")
     promise = estimate.promise(units)
     if not estimate.converged and promise < _WITHIN_NOISE:
         # It creeps along what the data do not determine.
@@ -184,8 +182,7 @@ def _table(parameters: tuple[Parameter, ...]) -> list[str]:
     titles = ("start", "value", "std model", "std windows")
     head = f"{'parameter':<{wide}}" + "".join(f" {title:>11}" for title in titles)
     rows = [
-        f"{p.name:<{wide}} {p.start:>11.5g} {p.value:>11.5g}"
-        f" {p.std_model:>11.2g} {p.std_sandwich:>11.2g}"
+        f"{p.name:<{wide}} {p.start:>11.5g} {p.value:>11.5g} {p.std_model:>11.2g} {p.std_sandwich:>11.2g}"
         for p in parameters
     ]
     return [head, "-" * len(head), *rows]

@@ -263,13 +263,11 @@ def _chosen(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
         chosen = jax.tree.leaves(free(structure.unflatten([_Mark(i) for i in range(len(paths))])))
     except (AttributeError, TypeError) as error:
         raise ValueError(
-            "Argument `free` must pick leaves as they are, such as `lambda v: v.damping.linear` "
-            f"({error})."
+            f"Argument `free` must pick leaves as they are, such as `lambda v: v.damping.linear` ({error})."
         ) from error
     if not chosen or not all(isinstance(mark, _Mark) for mark in chosen):
         raise ValueError(
-            "Argument `free` must return leaves of the vehicle, such as "
-            "`lambda v: v.damping.linear`."
+            "Argument `free` must return leaves of the vehicle, such as `lambda v: v.damping.linear`."
         )
     places = [mark.place for mark in chosen]
     if len(set(places)) < len(places):

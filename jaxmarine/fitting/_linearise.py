@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..physics import Drive, apply, attitude_rate, compose, rotation, small_turn, thrust
+from ..physics import Drive, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._windows import ANGLES, Records, Windows
@@ -129,7 +129,7 @@ def _contract(by_theta, spread, segment):
     return out
 
 
-def _drives(problem: Problem, drives: Drive):
+def _drives(problem: Problem, drives: Drive) -> Thrust:
     """Thrust over each hold and at each sample of all logs, for the drive constants of each segment."""
     records = problem.records
 
@@ -141,7 +141,7 @@ def _drives(problem: Problem, drives: Drive):
 
 
 def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
-    """Derivatives of both thrusts with respect to z: [logs, steps, thrusters, z].
+    """Derivatives of mean and instant thrust with respect to z: [logs, steps, thrusters, z].
 
     A thruster's thrust depends on its own constants only, so one tangent per constant and segment
     serves all thrusters; `slopes` are the constants' derivatives [segments, thrusters, z].
@@ -152,17 +152,15 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     def along(field, segment):
         tangents = [jnp.zeros_like(leaf) for leaf in leaves]
         tangents[field] = tangents[field].at[segment].set(1.0)
-        _, out = jax.jvp(
-            lambda d: _drives(problem, d), (drives,), (jax.tree.unflatten(structure, tangents),)
-        )
+        _, out = jax.jvp(lambda d: _drives(problem, d), (drives,), (jax.tree.unflatten(structure, tangents),))
         return out
 
-    mean = at = 0.0
+    mean = at = jnp.zeros(())
     for field, slope in enumerate(jax.tree.leaves(slopes)):
         for segment in range(segments):
-            d_mean, d_at = along(field, segment)
-            mean = mean + d_mean[..., None] * slope[segment][None, None]
-            at = at + d_at[..., None] * slope[segment][None, None]
+            out = along(field, segment)
+            mean = mean + out.mean[..., None] * slope[segment][None, None]
+            at = at + out.instant[..., None] * slope[segment][None, None]
     return mean, at
 
 
@@ -177,12 +175,13 @@ def _memory(problem: Problem, plants: Plant):
     def filtered(lags):
         def one(dt, velocity, segment):
             decay = jnp.exp(-dt[:, None] / lags[segment])
+            between = 0.5 * (velocity + jnp.concatenate([velocity[1:], velocity[-1:]]))
 
             def step(z, now):
                 decay, velocity = now
                 return velocity + (z - velocity) * decay, z
 
-            return jax.lax.scan(step, velocity[0], (decay, velocity))[1]
+            return jax.lax.scan(step, velocity[0], (decay, between))[1]
 
         return jax.vmap(one)(records.dt, records.velocity, records.segment)
 
@@ -192,23 +191,24 @@ def _memory(problem: Problem, plants: Plant):
 class _Track(eqx.Module):
     """What drives one window, step by step: inputs, fluid memory, segment and length of the hold."""
 
-    over: Input  # mean over the hold
+    over: Input  # over the hold
     instant: Input  # at the sample
     lagged: Array
     segment: Array
     dt: Array
 
 
-def _tracks(problem: Problem, mean, at, lagged) -> _Track:
+def _tracks(problem: Problem, push: Thrust, lagged) -> _Track:
     """The tracks of all windows, stacked."""
     records, log, step = problem.records, problem.windows.log[:, None], problem.windows.step
-    common = (records.commands[log, step], records.wrench[log, step], records.t[log, step])
+    t, dt = records.t[log, step], records.dt[log, step]
+    common = (records.commands[log, step], records.wrench[log, step], t)
     return _Track(
-        over=Input(mean[log, step], *common),
-        instant=Input(at[log, step], *common),
+        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt),
+        instant=Input(push.instant[log, step], *common),
         lagged=lagged[log, step],
         segment=records.segment[log, step],
-        dt=records.dt[log, step],
+        dt=dt,
     )
 
 
@@ -231,9 +231,8 @@ def _roll(plants: Plant, track: _Track, start: State, follow: bool):
 def predict(problem: Problem, theta, delta):
     """Predicted channels of every window [windows, steps, 18] and the residuals, weighted."""
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
-    mean, at = _drives(problem, plants.drive)
     lagged = _memory(problem, plants)[0]
-    tracks = _tracks(problem, mean, at, lagged)
+    tracks = _tracks(problem, _drives(problem, plants.drive), lagged)
 
     def one(windows, track, delta):
         states, _ = _roll(plants, track, _start(windows, delta, track.lagged[0]), follow=False)
@@ -297,10 +296,9 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
-    mean, at = _drives(problem, plants.drive)
     d_mean, d_at = _drive_sensitivities(problem, plants.drive, drive_slopes)
     lagged, d_lagged = _memory(problem, plants)
-    tracks = _tracks(problem, mean, at, lagged)
+    tracks = _tracks(problem, _drives(problem, plants.drive), lagged)
     log, step = problem.windows.log[:, None], problem.windows.step
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
@@ -319,9 +317,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
 
     def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at every step of a window."""
-        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(
-            x, drive, lagged, segment
-        )
+        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
         by_z = _contract(by_theta, spread, segment) + by_thrust @ d_thrust
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
@@ -339,7 +335,9 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
 
     def propagators(x, track, d_thrust, d_lagged):
         """A and B of every step of a window, from the point in its middle."""
-        _, nu_x, nu_z = tangents(x, track.over, track.lagged, track.segment, d_thrust, d_lagged)
+        over = Input(track.over.thrust, track.over.command, track.over.wrench, track.over.middle)
+        lagged = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
+        _, nu_x, nu_z = tangents(x, over, lagged, track.segment, d_thrust, d_lagged)
         dt = track.dt[:, None, None]
         f = jnp.concatenate([jax.vmap(jax.jacfwd(kinematics))(x), nu_x], axis=1)
         exp, phi = _exponential(dt * f)
@@ -355,9 +353,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         """Readings at every sample of a window and their derivatives with respect to x and z."""
         segment = track.segment
         if problem.accelerations:
-            nu_dot, nu_x, nu_z = tangents(
-                x, track.instant, track.lagged, segment, d_thrust, d_lagged
-            )
+            nu_dot, nu_x, nu_z = tangents(x, track.instant, track.lagged, segment, d_thrust, d_lagged)
         else:
             nu_dot, nu_x, nu_z = (
                 jnp.zeros((steps, 6)),
@@ -389,7 +385,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         )
         middle = 0.75 * x + 0.25 * x_after + 0.25 * track.dt[:, None] * rate
         d_lagged = (
-            d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag
+            d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag[None]
             if d_slow.shape[-1]
             else d_slow
         )

@@ -58,16 +58,14 @@ class OneStep(eqx.Module):
     def _at_samples(self, z: Float[Array, " z"], of: Callable[[Plant, State, Array, Input], Array]):
         """`of` the vehicle, its measured state, acceleration and input, at every sample."""
         theta = self.start + self.map @ z
-        plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(
-            theta, jnp.arange(self.segments)
-        )
+        plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
         records, samples = self.problem.records, self.samples
-        mean, at = _drives(self.problem, plants.drive)
-        before = jnp.concatenate([mean[:, :1], mean[:, :-1]], axis=1)
-        push = at if samples.instant else 0.5 * (before + mean)
+        push = _drives(self.problem, plants.drive)
+        before = jnp.concatenate([push.mean[:, :1], push.mean[:, :-1]], axis=1)
+        thrust = push.instant if samples.instant else 0.5 * (before + push.mean)
         lagged, _ = _memory(self.problem, plants)
         states = State(samples.position, samples.attitude, samples.velocity, lagged)
-        drive = Input(push, records.commands, records.wrench, records.t)
+        drive = Input(thrust, records.commands, records.wrench, records.t)
 
         def one(state, acceleration, drive, segment):
             return of(_pick(plants, segment), state, acceleration, drive)
@@ -80,9 +78,7 @@ class OneStep(eqx.Module):
 
     def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
-        return self._at_samples(
-            z, lambda plant, *sample: apply(plant.inverse_mass, plant.balance(*sample))
-        )
+        return self._at_samples(z, lambda plant, *sample: apply(plant.inverse_mass, plant.balance(*sample)))
 
     def residuals(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         return self.errors(z) * self.samples.weight
@@ -93,13 +89,10 @@ class OneStep(eqx.Module):
         return eqx.tree_at(lambda s: s.samples.weight, self, new)
 
 
-def one_step(
-    freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, "18"]
-) -> OneStep:
+def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, "18"]) -> OneStep:
     """The one-step problem of logs; each axis weighs by the spread of its own acceleration."""
     logs = [
-        dataclasses.replace(log, channels=np.where(np.isfinite(noise), log.channels, np.nan))
-        for log in logs
+        dataclasses.replace(log, channels=np.where(np.isfinite(noise), log.channels, np.nan)) for log in logs
     ]
     vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
     # Windows play no part here; two in each log are the least that a cut makes.
@@ -137,9 +130,7 @@ def _samples(logs: Sequence[Log], dof: Sequence[str], free: np.ndarray, steps: i
         rows.append(np.pad(row, [(0, steps - len(row)), (0, 0)]))
     table = np.array(rows)
     known = table[..., 18:] > 0
-    spread = [
-        table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)
-    ]
+    spread = [table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)]
     weight = known / np.where(np.array(spread) > 0, spread, 1.0)
     return Samples(
         position=jnp.asarray(table[..., :3]),
@@ -204,14 +195,10 @@ def fit_one_step(
     return _estimate(task, np.asarray(z), residual, slope, group, int(first + second), result)
 
 
-def scatter_of(
-    errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray
-) -> Float[np.ndarray, "6"]:
+def scatter_of(errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray) -> Float[np.ndarray, "6"]:
     """Root mean square per axis where known; one where an axis has no sample."""
     count = known.sum(axis=(0, 1))
-    return np.where(
-        count > 0, np.sqrt((errors**2 * known).sum(axis=(0, 1)) / np.maximum(count, 1)), 1.0
-    )
+    return np.where(count > 0, np.sqrt((errors**2 * known).sum(axis=(0, 1)) / np.maximum(count, 1)), 1.0)
 
 
 def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> Estimate:

@@ -85,9 +85,7 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         del tags
         cost, stats = fn(state.y_eval, args)
         # Where a roll-out is finite its sensitivities may not be: no step could start from there.
-        usable = (
-            jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
-        )
+        usable = jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
         cost = jnp.where(usable, cost, jnp.inf)
         better = (cost < state.cost) | state.first
         ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)

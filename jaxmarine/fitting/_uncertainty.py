@@ -75,9 +75,7 @@ def uncertainty(freed: Freed, scales: Scales, units: Units, estimate: Estimate) 
         model = by_z @ np.linalg.inv(information + np.diag(units.precision)) @ by_z.T
         sandwich = by_z @ _sandwich(estimate, units) @ by_z.T
         size = np.maximum(scales.size, np.abs(value))
-        eigenvalues, vectors = _scaled_information(
-            information - estimate.spurious, by_z / size[:, None]
-        )
+        eigenvalues, vectors = _scaled_information(information - estimate.spurious, by_z / size[:, None])
     else:
         model = sandwich = vectors = np.full((len(value), len(value)), np.nan)
         eigenvalues = np.full(len(value), np.nan)
@@ -113,9 +111,7 @@ def _sandwich(estimate: Estimate, units: Units) -> np.ndarray:
     share, axes = np.linalg.eigh(unit @ estimate.information @ unit.T)
     # A window that alone determines a parameter says nothing of its scatter.
     grow = np.clip(1.0 - share, _LEAST_REST, None) ** -0.5
-    scores = np.einsum(
-        "wij,wj,wkj,kl,wl->wi", axes, grow, axes, unit, estimate.scores, optimize=True
-    )
+    scores = np.einsum("wij,wj,wkj,kl,wl->wi", axes, grow, axes, unit, estimate.scores, optimize=True)
     meat = scores.T @ scores + unit @ np.diag(units.precision * units.has_prior) @ unit.T
     return unit.T @ meat @ unit
 

@@ -88,10 +88,7 @@ def cut(
     longest = max(len(log.t) for log in logs) * split
     count = len(vehicle.thruster_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "velocity", "segment")}
-    parts = {
-        name: []
-        for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")
-    }
+    parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
     starts = []
     dt = float(np.median([log.dt for log in logs]))
     size = max(4, round(length / dt))
@@ -122,7 +119,7 @@ def cut(
         weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
         # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
         steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
-        weight[np.ix_(steep, [3, 5])] = 0.0
+        weight[steep, 3] = weight[steep, 5] = 0.0
         measured = np.where(usable, log.channels, 0.0)
         for first in range(0, len(log.t) - size + 1, jump):
             here = slice(first, first + size)

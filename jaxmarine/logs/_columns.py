@@ -19,9 +19,7 @@ class ColumnSource(pydantic.BaseModel):
     scale: float = Field(
         default=1.0, strict=True, allow_inf_nan=False, description="a finite number other than zero"
     )
-    offset: float = Field(
-        default=0.0, strict=True, allow_inf_nan=False, description="a finite number"
-    )
+    offset: float = Field(default=0.0, strict=True, allow_inf_nan=False, description="a finite number")
 
     @pydantic.field_validator("scale")
     @classmethod

@@ -32,15 +32,13 @@ class Log(eqx.Module):
         times = len(self.t)
         if self.channels.shape != (times, len(CHANNELS)):
             raise ValueError(
-                f"Argument `channels` must be ({times}, {len(CHANNELS)}), "
-                f"but is {self.channels.shape}."
+                f"Argument `channels` must be ({times}, {len(CHANNELS)}), but is {self.channels.shape}."
             )
         if (self.commands is None) == (self.wrench is None):
             raise ValueError("Exactly one of `commands` and `wrench` must be given.")
         if self.commands is not None and self.commands.shape != (times, len(self.thrusters)):
             raise ValueError(
-                f"Argument `commands` must be ({times}, {len(self.thrusters)}), "
-                f"but is {self.commands.shape}."
+                f"Argument `commands` must be ({times}, {len(self.thrusters)}), but is {self.commands.shape}."
             )
         if self.wrench is not None and self.wrench.shape != (times, 6):
             raise ValueError(f"Argument `wrench` must be ({times}, 6), but is {self.wrench.shape}.")

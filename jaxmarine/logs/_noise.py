@@ -19,9 +19,7 @@ _FINEST_SHARE = 1e-3
 _FINEST = 1e-6
 
 
-def sensor_noise(
-    log: Log, sensors: Mapping[str, float | None] | None = None
-) -> Float[np.ndarray, "18"]:
+def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) -> Float[np.ndarray, "18"]:
     """Standard deviation of the noise of each channel; NaN where nothing is measured.
 
     `sensors` holds what the vehicle file states per kind of sensor; other kinds are estimated.

@@ -194,9 +194,7 @@ def _check_motion(file: _MappedFile, channels: np.ndarray, dof: Sequence[str]) -
         file.notes.append(f"Column {file.label(name)} has no value and counts as not measured.")
     for name in ATTITUDE[:2]:
         if name in seen and np.nanmax(np.abs(channels[:, CHANNELS.index(name)])) > 2 * np.pi:
-            file.notes.append(
-                f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?"
-            )
+            file.notes.append(f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?")
 
 
 def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -117,9 +117,7 @@ def _local_polynomial(t: np.ndarray, y: np.ndarray, half: int) -> tuple[np.ndarr
     return fit[:, 0], fit[:, 1] / scale
 
 
-def _attitude(
-    t: np.ndarray, measured: np.ndarray, rates: np.ndarray, known: np.ndarray
-) -> np.ndarray:
+def _attitude(t: np.ndarray, measured: np.ndarray, rates: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Euler angles [T,3]; unknown ones from integrated rates, starting at zero."""
     if known.all():
         return measured

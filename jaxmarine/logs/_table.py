@@ -30,8 +30,7 @@ def read_table(path: str | os.PathLike[str]) -> pd.DataFrame:
         # pandas' own parser errors are ValueErrors that name the line
         reason = " ".join(str(error).removeprefix("Error tokenizing data. C error: ").split())
         raise InputError(
-            f"{path}: cannot be read as a {_format(path)} file ({reason}); correct or export it "
-            "again."
+            f"{path}: cannot be read as a {_format(path)} file ({reason}); correct or export it again."
         ) from error
     return table
 
@@ -86,8 +85,7 @@ def _format(path: Path) -> str:
         if path.name.lower().endswith(suffix):
             return suffix
     raise InputError(
-        f"{path}: has a name that does not end in {', '.join(_FORMATS)}; "
-        "a log is a CSV or a Parquet file."
+        f"{path}: has a name that does not end in {', '.join(_FORMATS)}; a log is a CSV or a Parquet file."
     )
 
 
@@ -107,9 +105,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
             encoding="utf-8-sig",
         )
     except pd.errors.EmptyDataError:
-        raise InputError(
-            f"{path}: is empty; a log has a line of column names, then rows."
-        ) from None
+        raise InputError(f"{path}: is empty; a log has a line of column names, then rows.") from None
     names = _checked_names([str(name) for name in header.iloc[0]], path)
     try:
         with warnings.catch_warnings():
@@ -152,9 +148,7 @@ def _checked_names(names: list[str], path: Path) -> list[str]:
     names = [name.strip() for name in names]
     for name in names:
         if name and names.count(name) > 1:
-            raise InputError(
-                f"{path}: has {names.count(name)} columns named `{name}`; keep or rename one."
-            )
+            raise InputError(f"{path}: has {names.count(name)} columns named `{name}`; keep or rename one.")
     if len(names) == 1 and any(separator in names[0] for separator in ";\t"):
         raise InputError(
             f"{path}: separates its columns by semicolons or tabs; write commas between columns "

@@ -1,6 +1,7 @@
 """A wrench that no known effect explains, learned as a network of measured signals."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import equinox as eqx
@@ -45,7 +46,7 @@ def signals(motion: Motion, names: tuple[str, ...], thrusters: tuple[str, ...]) 
 
 
 class LearnedWrench(WrenchEffect):
-    r"""A force on one axis as a small network of named signals, $\tau_i = s\, W_2 \tanh(W_1 x + b_1) + s\, b_2$.
+    r"""A force on one axis as a network of named signals, $\tau_i = s\, W_2 \tanh(W_1 x + b_1) + s\, b_2$.
 
     - `weight_1` [hidden, inputs], `bias_1`, `weight_2` [hidden], `bias_2`: the network, zero at the start
       in its last layer, so that the unfitted vehicle is the physics.
@@ -58,7 +59,7 @@ class LearnedWrench(WrenchEffect):
     """
 
     name: ClassVar[str] = "unknown"
-    units: ClassVar[dict[str, str]] = {}
+    units: ClassVar[Mapping[str, str]] = {}
 
     weight_1: Float[Array, "hidden inputs"]
     bias_1: Float[Array, " hidden"]

@@ -1,6 +1,7 @@
 """The classical terms: frames, rigid body, added mass, Coriolis, restoring, damping, actuators."""
 
 from ._actuators import Drive as Drive
+from ._actuators import Thrust as Thrust
 from ._actuators import step_lengths as step_lengths
 from ._actuators import thrust as thrust
 from ._body import Load as Load

@@ -33,60 +33,97 @@ def step_lengths(t: Times) -> Times:
     return jnp.concatenate([steps, steps[-1:]])
 
 
-def _delayed(t: Times, commands: Commands, delay: Commands) -> Commands:
-    """Mean over each hold of the command `delay` seconds earlier.
+def _delayed(t: Times, commands: Commands, delay: Commands) -> tuple[Commands, Commands, Commands]:
+    """The command `delay` seconds earlier: mean and slope [1/s] over each hold, and at each sample.
 
-    The mean of a delayed staircase follows from its running integral, which is exact at any sampling
-    and differentiable in the delay. Before the log the first command is taken to have held. Written
-    as the last command that acts in the hold plus what the earlier ones change, so that a delay of
-    zero gives the commands to the last bit; its derivative there is that of a small positive delay.
+    Mean and slope (of the straight line with the same first moment) come from running integrals of the
+    staircase, which is exact at any sampling and differentiable in the delay. Before the log the first
+    command is taken to have held. The mean is written as the last command that acts in the hold plus what
+    the earlier ones change, so that a delay of zero gives the commands to the last bit; its derivative
+    there is that of a small positive delay. At a sample the command is a stair of the delay.
     """
     dt = step_lengths(t)
-    integral = jnp.concatenate(
-        [jnp.zeros((1, commands.shape[1])), jnp.cumsum(commands * dt[:, None], axis=0)]
-    )
     times = jnp.concatenate([t, t[-1:] + dt[-1:]])
+    zero = jnp.zeros((1, commands.shape[1]))
+    integral = jnp.concatenate([zero, jnp.cumsum(commands * dt[:, None], axis=0)])
+    squares = jnp.diff(times**2)[:, None] / 2
+    moment = jnp.concatenate([zero, jnp.cumsum(commands * squares, axis=0)])
 
-    def one(integral, delay, c):
+    def one(integral, moment, delay, c):
         def cell(time):
             """The sample whose hold has the time in it; at a border the earlier one."""
             return jnp.clip(jnp.searchsorted(times, time, side="left") - 1, 0, len(c) - 1)
 
-        start = times[:-1] - delay
-        i, j = cell(start), cell(times[1:] - delay)
+        start, end = times[:-1] - delay, times[1:] - delay
+        i, j = cell(start), cell(end)
         earlier = c[i] * (times[i + 1] - start) + (integral[j] - integral[i + 1])
-        return c[j] + (earlier - c[j] * (times[j] - start)) / dt
+        mean = c[j] + (earlier - c[j] * (times[j] - start)) / dt
+        first = (
+            c[i] * (times[i + 1] ** 2 - start**2) / 2
+            + (moment[j] - moment[i + 1])
+            + c[j] * (end**2 - times[j] ** 2) / 2
+        )
+        slope = 12.0 / dt**3 * (first - mean * dt * (start + end) / 2)
+        # A border that rounding has moved is still passed.
+        now = jnp.searchsorted(times, start + 1e-9, side="right") - 1
+        return mean, jnp.where(delay > 0.0, slope, 0.0), c[jnp.clip(now, 0, len(c) - 1)]
 
-    return jax.vmap(one, in_axes=1, out_axes=1)(integral, delay, commands)
+    return jax.vmap(one, in_axes=1, out_axes=1)(integral, moment, delay, commands)
 
 
-def thrust(drive: Drive, t: Times, commands: Commands) -> tuple[Commands, Commands]:
-    """Thrust of each thruster without inflow loss [N]: mean over each hold, and at each sample.
-
-    - `drive`: with one row per sample (its constants may change at a sample).
-    - `commands`: held from each sample to the next.
-
-    The mean is what moves the vehicle over the hold: the lag is integrated in closed form, so a lag
-    of zero is no special case for it. At the sample itself a thruster with lag still gives what it
-    gave before the sample, one without gives the new thrust: there the two differ, and the
-    derivative with respect to a lag of zero does not exist.
-    """
-    c = _delayed(t, commands, drive.delay)
+def _goal(drive: Drive, c: Commands) -> Commands:
+    """Thrust that a command asks for [N]: dead zone, saturation, curve, gain."""
     # Without a dead zone a command of zero is not silent: its slope with respect to the delay is one.
     silent = (jnp.abs(c) <= drive.deadband) & (drive.deadband > 0.0)
     c = jnp.where(silent, 0.0, c - jnp.sign(c) * drive.deadband)
     c = jnp.clip(c, -drive.saturation, drive.saturation)
     c = (1.0 - drive.quadratic) * c + drive.quadratic * c * jnp.abs(c)
-    goal = drive.max_thrust * drive.gain * c
+    return drive.max_thrust * drive.gain * c
+
+
+class Thrust(eqx.Module):
+    """Thrust of each thruster without inflow loss, one row per sample.
+
+    - `mean` [N] and `slope` [N/s] over the hold: the straight line with the same impulse and first moment.
+    - `instant` [N]: at the sample itself, just after the command has changed.
+    """
+
+    mean: Commands
+    slope: Commands
+    instant: Commands
+
+
+def thrust(drive: Drive, t: Times, commands: Commands) -> Thrust:
+    """Thrust from held commands.
+
+    - `drive`: with one row per sample (its constants may change at a sample).
+    - `commands`: held from each sample to the next.
+
+    What moves the vehicle over a hold is the thrust's impulse and first moment; the lag is integrated in
+    closed form, so a lag of zero is no special case for them. At the sample itself a thruster with lag
+    still gives what it gave before the sample, one without gives the new thrust: there the two differ,
+    and the derivative with respect to a lag of zero does not exist.
+    """
+    c, c_slope, c_now = _delayed(t, commands, drive.delay)
+    goal, rise = jax.jvp(lambda c: _goal(drive, c), (c,), (c_slope,))
 
     dt = step_lengths(t)[:, None]
     lag = jnp.maximum(drive.lag, 1e-9)  # keeps the derivative finite; exp(-dt/1e-9) is zero
     decay = jnp.exp(-dt / lag)
+    lag = jnp.maximum(drive.lag, 0.0)
+    # Answer of a first-order lag to the straight line: a line, late by the lag, and a decaying rest.
+    first, last = goal - rise * dt / 2 - rise * lag, goal + rise * dt / 2 - rise * lag
 
     def hold(state, now):
-        goal, decay = now
-        return goal + (state - goal) * decay, state
+        first, last, decay = now
+        return last + (state - first) * decay, state
 
-    _, start = jax.lax.scan(hold, goal[0], (goal, decay))
-    mean = goal + (start - goal) * jnp.maximum(drive.lag, 0.0) / dt * (1.0 - decay)
-    return mean, jnp.where(drive.lag > 0.0, start, goal)
+    _, start = jax.lax.scan(hold, goal[0], (first, last, decay))
+    rest = start - first
+    mean = goal - rise * lag + rest * lag / dt * (1.0 - decay)
+    moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
+    return Thrust(
+        mean=mean,
+        slope=rise + 12.0 * rest * moment / dt**3,
+        instant=jnp.where(drive.lag > 0.0, start, _goal(drive, c_now)),
+    )

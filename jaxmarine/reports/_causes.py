@@ -218,9 +218,7 @@ def _coupled_damping(f: Finding, v: Vehicle) -> str:
 
 
 def _hull_lift(f: Finding, v: Vehicle) -> str:
-    return (
-        f"at an angle to the flow the hull feels a lift that the file does not have ({_listed(f)})"
-    )
+    return f"at an angle to the flow the hull feels a lift that the file does not have ({_listed(f)})"
 
 
 def _fluid_memory(f: Finding, v: Vehicle) -> str:
@@ -281,8 +279,7 @@ def _inflow_loss(f: Finding, v: Vehicle) -> str:
 
 def _velocity_lever_arm(f: Finding, v: Vehicle) -> str:
     return (
-        f"the logged velocity is that of a point {_place(f, _FROM_ORIGIN)} the body origin, not of "
-        "the origin"
+        f"the logged velocity is that of a point {_place(f, _FROM_ORIGIN)} the body origin, not of the origin"
     )
 
 
@@ -310,9 +307,7 @@ def _velocity_in_earth_axes(f: Finding, v: Vehicle) -> str:
             f"(fraction {_pm(f, 'fraction')})"
         )
     part = _pm(f, "fraction", 100.0, "%")
-    return (
-        f"{part} of the logged velocity is in earth axes (north, east, down), the rest in body axes"
-    )
+    return f"{part} of the logged velocity is in earth axes (north, east, down), the rest in body axes"
 
 
 def _gyro_bias(f: Finding, v: Vehicle) -> str:
@@ -360,10 +355,8 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
 def what(finding: Finding, vehicle: Vehicle) -> str:
     """The finding in one sentence, with its numbers and since when it holds."""
     told = _SENTENCES.get(finding.effect)
-    if told is not None:
-        text = told(finding, vehicle)
-    else:  # an effect that a user has added to the catalogue
-        text = f"{title(finding.label)} ({_listed(finding)})"
+    # Without a sentence of its own: an effect that a user has added to the catalogue.
+    text = told(finding, vehicle) if told else f"{title(finding.label)} ({_listed(finding)})"
     if finding.since is not None:
         text += f", since t = {number(finding.since, 4)} s"
         text += f" of `{finding.since_log}`" if finding.since_log else ""

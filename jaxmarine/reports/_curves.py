@@ -173,11 +173,7 @@ def measured_channels(predictions: Predictions) -> tuple[str, ...]:
 def telling_channel(predictions: Predictions) -> str | None:
     """The measured position, attitude or velocity that is worst predicted before."""
     misfit = _misfits(predictions)
-    shown = [
-        name
-        for name in measured_channels(predictions)
-        if name in POSITION + ATTITUDE + VELOCITY + RATE
-    ]
+    shown = [name for name in measured_channels(predictions) if name in POSITION + ATTITUDE + VELOCITY + RATE]
     sizes = {name: _mean(misfit[:, CHANNELS.index(name)]) for name in shown}
     return max(sizes, key=lambda name: sizes[name], default=None)
 
@@ -270,8 +266,7 @@ def beginnings(diagnosis: Diagnosis, log: int) -> tuple[float, ...]:
     return tuple(
         finding.since
         for finding in diagnosis.findings
-        if finding.since is not None
-        and (finding.since_log or diagnosis.train[0]) == diagnosis.train[log]
+        if finding.since is not None and (finding.since_log or diagnosis.train[0]) == diagnosis.train[log]
     )
 
 

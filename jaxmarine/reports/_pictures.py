@@ -63,9 +63,7 @@ def _errors(diagnosis: Diagnosis) -> Figure | None:
 
 def _missing(diagnosis: Diagnosis) -> Figure | None:
     free = [
-        axis
-        for axis in free_axes(diagnosis.vehicle.dof)
-        if known(diagnosis.missing_before, axis.index).any()
+        axis for axis in free_axes(diagnosis.vehicle.dof) if known(diagnosis.missing_before, axis.index).any()
     ]
     if not free:
         return None
@@ -79,9 +77,7 @@ def _missing(diagnosis: Diagnosis) -> Figure | None:
                 t, wrench = missing.t[there] + shift, missing.wrench[there, axis.index]
                 band = 2 * np.nan_to_num(finite(missing.std[there, axis.index]))
                 ax.fill_between(t, wrench - band, wrench + band, color=colour, alpha=0.2, lw=0)
-                ax.plot(
-                    t, wrench, color=colour, lw=1.2, label=f"{name} ± 2 std" if log == 0 else None
-                )
+                ax.plot(t, wrench, color=colour, lw=1.2, label=f"{name} ± 2 std" if log == 0 else None)
         for log, shift in enumerate(starts):
             for since in beginnings(diagnosis, log):
                 ax.axvline(since + shift, color=_QUIET, ls=":")
@@ -155,9 +151,7 @@ def _trajectories(diagnosis: Diagnosis) -> Figure | None:
 def _grid(count: int, columns: int) -> tuple[Figure, list[Axes]]:
     columns = 2 if count == 4 else min(columns, count)
     rows = -(-count // columns)
-    figure = Figure(
-        figsize=(3.6 * columns if columns > 1 else 6.0, 2.5 * rows), layout="constrained"
-    )
+    figure = Figure(figsize=(3.6 * columns if columns > 1 else 6.0, 2.5 * rows), layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for spare in axes[count:]:
         spare.remove()

@@ -80,9 +80,7 @@ def next_best(finding: Finding) -> str:
     if not told_apart:
         return ""
     best = max(told_apart, key=lambda other: other.log_evidence)
-    return (
-        f"The next best, {title(_label(best))}, has a log evidence of {number(best.log_evidence)}."
-    )
+    return f"The next best, {title(_label(best))}, has a log evidence of {number(best.log_evidence)}."
 
 
 def values(label: str, parameters: Mapping[str, float]) -> str:
@@ -98,9 +96,7 @@ def values(label: str, parameters: Mapping[str, float]) -> str:
 def verdict(diagnosis: Diagnosis) -> str:
     """The whole answer in one sentence."""
     named = [finding for finding in diagnosis.findings if finding.effect != "unknown"]
-    strange = [
-        finding.target or "" for finding in diagnosis.findings if finding.effect == "unknown"
-    ]
+    strange = [finding.target or "" for finding in diagnosis.findings if finding.effect == "unknown"]
     unknown = (
         f"something that no known cause explains acts in {joined(strange)}"
         if strange
@@ -122,9 +118,7 @@ def verdict(diagnosis: Diagnosis) -> str:
 def explanation(diagnosis: Diagnosis) -> str:
     """Below the verdict: how well the logs are explained now, and what is left."""
     before, after = _times_noise(diagnosis.misfit_before), _times_noise(diagnosis.misfit_after)
-    text = (
-        f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
-    )
+    text = f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
     if diagnosis.verdict != "nothing_found":
         text += f", the extended vehicle by {after}"
     return f"{text}. {remainder(diagnosis)}"

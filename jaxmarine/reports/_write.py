@@ -27,9 +27,7 @@ def write_report(diagnosis: Diagnosis, folder: str | os.PathLike[str]) -> Path:
     try:
         (folder / "figures").mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be made a folder for the report; check the path."
-        ) from error
+        raise InputError(f"{folder}: cannot be made a folder for the report; check the path.") from error
     # All are written beside their places before one moves; the page, first in, moves last.
     with contextlib.ExitStack() as stack:
         for name, content in files.items():
