@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Array, Float
 
+from jaxmarine._types import SENSORS
 from jaxmarine.effects import (
     CATALOGUE,
     ConstantWrench,
@@ -102,11 +103,10 @@ def test_nothing_but_the_free_axes_of_the_free_leaves_changes():
 
 
 def test_one_step_recovers_without_noise():
-    truth, start = boat(), wrong(boat(), 0.4, 2.5, 0.4)
-    noise = dict.fromkeys([*NOISE, "acceleration", "angular_acceleration"], 1e-7)
-    log = record(truth, steps(), noise=noise)
-    found = fit(start, log, everything, entries="nonzero", loss="one_step")
-    np.testing.assert_allclose(values(found), planted(truth), rtol=1e-4)
+    exact = dict.fromkeys(SENSORS, 1e-7)
+    log = record(boat(), steps(), noise=exact)
+    found = fit(wrong(boat(), 0.4, 2.5, 0.4), log, everything, entries="nonzero", loss="one_step")
+    np.testing.assert_allclose(values(found), planted(boat()), rtol=1e-4)
 
 
 # --- standard errors --------------------------------------------------------------------------
@@ -129,13 +129,12 @@ def test_errors_of_many_noises_match_both_standard_errors():
 
 
 def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
-    seeds = 8
-    where = [f"damping.quadratic[{axis}]" for axis in ("surge", "sway")]
-    where += ["damping.linear[surge]"]
-    truth = np.array([30.0, 90.0, 20.0])
-    noise = NOISE | {"velocity": 0.1}
-    start = boat(sensors=noise)
-    found: dict[str, np.ndarray] = {}
+    seeds, noise = 6, dict.fromkeys(SENSORS, 0.02) | {"velocity": 0.1}
+    start = boat()
+    # The trajectory is given less: no accelerations.
+    unused = {"trajectory": np.array([1.0] * 12 + [np.nan] * 6), "one_step": np.ones(18)}
+    std = np.repeat([noise[kind] for kind in SENSORS], 3)
+    error: dict[str, np.ndarray] = {}
     for loss in ("trajectory", "one_step"):
         fits = [
             fit(
@@ -144,36 +143,43 @@ def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
                 everything,
                 entries="nonzero",
                 loss=loss,
+                noise=std * unused[loss],
             )
             for s in range(seeds)
         ]
-        found[loss] = np.array([[f[name].value for name in where] for f in fits]) - truth
-    error = {k: v.mean(0) / (v.std(0, ddof=1) / np.sqrt(seeds)) for k, v in found.items()}
-    assert np.abs(error["trajectory"]).max() < 3.5
-    assert np.abs(error["one_step"]).max() > 4.5
-    assert np.abs(found["one_step"].mean(0) / truth).max() > 0.2
+        off = np.array([values(f) for f in fits]) - planted(start)
+        error[loss] = off.mean(0) / (off.std(0, ddof=1) / np.sqrt(seeds))
+    assert np.abs(error["trajectory"]).max() < 5.0  # the largest of ten t of five
+    assert np.abs(error["one_step"]).max() > 8.0
 
 
 # --- what the data do not determine -----------------------------------------------------------
 
 
-def test_an_axis_at_rest_is_reported():
+@pytest.mark.parametrize(
+    ("mass", "damping", "lost"),
+    [
+        # Damping free: at rest it has little influence, whatever it is.
+        (0.1, np.inf, {"damping.linear", "damping.quadratic"}),
+        # Added mass free: the noise in the initial states looks like motion that determines it.
+        (np.inf, 1e-3, {"added_mass"}),
+    ],
+)
+def test_an_axis_at_rest_is_reported(mass: float, damping: float, lost: set[str]):
     commands = steps()
     commands[:, 2] = 0.0  # straight on: both astern alike, the bow thruster off
     commands[:, 1] = commands[:, 0]
-    still = fit(
-        boat(),
-        record(boat(), commands),
-        everything,
-        entries="nonzero",
-        prior=(jnp.full((6, 6), 0.1), jnp.full((6, 6), jnp.inf), jnp.full((6, 6), jnp.inf)),
-    )
+    spreads = (jnp.full((6, 6), mass), *[jnp.full((6, 6), damping)] * 2)
+    log = record(boat(), commands)
+    still = fit(boat(), log, everything, entries="nonzero", prior=spreads)
     named = {name for c in still.undetermined for name, _ in c.weights}
-    assert {
-        f"damping.{kind}[{axis}]" for kind in ("linear", "quadratic") for axis in ("sway", "yaw")
-    } <= named
-    assert not any("surge" in name for name in named)
+    assert {f"{leaf}[{axis}]" for leaf in lost for axis in ("sway", "yaw")} <= named
+    free = {f"{leaf}[surge]" for leaf in lost}
+    assert not free & named
     assert "not determined by the data" in repr(still)
+
+
+def test_what_a_manoeuvre_shows_is_determined():
     moved = many_fits("trajectory")[0]
     assert not moved.undetermined
     assert np.all(np.diff(moved.information) >= 0)
@@ -229,14 +235,17 @@ def test_dissipative_damping_takes_energy_whatever_the_numbers(seed: int, entrie
         assert np.abs(matrix - matrix.T).max() > 1.0  # a gyroscopic part is allowed
 
 
-def test_dissipative_holds_where_noise_would_have_it_otherwise():
+def test_dissipative_holds_where_the_log_would_have_it_otherwise():
     truth = eqx.tree_at(lambda v: v.damping.linear, boat(), -0.2 * boat().damping.linear)
-    log = record(truth, steps(), seed=1)
-    options = {"entries": "diagonal", "loss": "one_step"}
-    plain = fit(boat(), log, lambda v: v.damping.linear, **options)
-    held = fit(boat(), log, lambda v: v.damping.linear, dissipative=True, **options)
-    assert plain["damping.linear[surge]"].value < 0.0
-    assert all(p.value >= 0.0 for p in held.parameters)
+    found = fit(
+        boat(),
+        record(truth, steps(), noise=dict.fromkeys(SENSORS, 1e-3), seed=1),
+        lambda v: v.damping.linear,
+        entries="diagonal",
+        dissipative=True,
+        loss="one_step",
+    )
+    assert all(0.0 <= p.value < 0.05 * p.start for p in found.parameters)
 
 
 def test_an_effect_is_freed_on_its_target_only():
@@ -248,15 +257,6 @@ def test_an_effect_is_freed_on_its_target_only():
     changed = freed(jnp.array([0.7, 3.0]))
     np.testing.assert_array_equal(changed.placed[0].effect.factor, [0.7, 0.7, 0.7])
     np.testing.assert_array_equal(changed.placed[1].effect.value, [0, 3.0, 0, 0, 0, 0])
-    noise = dict.fromkeys([*NOISE, "acceleration", "angular_acceleration"], 1e-7)
-    log = record(changed, steps(), noise=noise)
-    found = fit(
-        vehicle,
-        log,
-        lambda v: (v.placed[0].effect.factor, v.placed[1].effect.value),
-        loss="one_step",
-    )
-    np.testing.assert_allclose(values(found), [0.7, 3.0], atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -278,12 +278,10 @@ def test_what_cannot_be_free_is_said(free, options, says: str):
 
 
 def test_too_few_steps_raise_with_advice_or_stand_in_the_result():
-    log = record(boat(), steps())
-    start = wrong(boat(), 1.0, 3.0, 0.3)
-    options = {"loss": "one_step", "max_steps": 1}
+    log, start = record(boat(), steps()), wrong(boat(), 0.4, 2.5, 0.4)
     with pytest.raises(FitError, match="raise `max_steps`"):
-        fit(start, log, lambda v: v.damping.linear, **options)
-    found = fit(start, log, lambda v: v.damping.linear, throw=False, **options)
+        fit(start, log, everything, entries="nonzero", max_steps=1)
+    found = fit(start, log, everything, entries="nonzero", max_steps=1, throw=False)
     assert not found.converged and "max_steps" in found.result
 
 
@@ -364,25 +362,29 @@ def _hybrid(vehicle: Vehicle) -> Vehicle:
     return vehicle.place(Placed(term))
 
 
-@pytest.fixture(scope="module")
-def learned() -> tuple[Vehicle, Vehicle, Log, float]:
-    """The truth, a wrong start, its log, and the error of the best linear-plus-quadratic drag."""
+def _fit_hybrid(vehicle: Vehicle, log: Log, spread: float, loss: str) -> Fit:
+    """Damping free, and the network within `spread`: a tiny one leaves the classical drag alone."""
+
+    def free(v: Vehicle):
+        return v.damping.linear, v.damping.quadratic, _weights(v)
+
+    wide = jnp.full((6, 6), jnp.inf)
+    spreads = jax.tree.map(lambda a: jnp.full_like(a, spread), _weights(vehicle))
+    prior = (wide, wide, spreads)
+    return fit(vehicle, log, free, entries="diagonal", prior=prior, loss=loss, max_steps=300)
+
+
+@pytest.mark.parametrize(("loss", "times_better"), [("trajectory", 4.0), ("one_step", 2.0)])
+def test_a_network_learns_damping_that_is_neither_linear_nor_quadratic(loss, times_better):
     truth = _surge(2.0, 0.0).place(Placed(CubicDamping(jnp.asarray(60.0))))
-    start = _surge(6.0, 90.0)
+    start = _hybrid(_surge(6.0, 90.0))
     log = record(truth, steps(), seed=4)
-    classical = fit(start, log, lambda v: (v.damping.linear, v.damping.quadratic), entries="diagonal")
-    return truth, start, log, _prediction_error(classical.vehicle, truth)
-
-
-@pytest.mark.parametrize(("loss", "times_better"), [("trajectory", 5.0), ("one_step", 2.5)])
-def test_a_network_learns_damping_that_is_neither_linear_nor_quadratic(learned, loss, times_better):
-    truth, start, log, classical = learned
-    hybrid = _hybrid(start)
-    assert _prediction_error(start, truth) > 3.0 * classical  # the start is really wrong
-    spread = jax.tree.map(lambda a: jnp.full_like(a, 3.0), _weights(hybrid))
-    found = fit(hybrid, log, _weights, prior=spread, loss=loss, max_steps=300)
-    assert _prediction_error(found.vehicle, truth) < classical / times_better
-    np.testing.assert_allclose(found.chi2_per_sample, 1.0, atol=0.15)
+    classical = _fit_hybrid(start, log, 1e-6, loss)
+    best = _prediction_error(classical.vehicle, truth)
+    assert _prediction_error(start, truth) > 3.0 * best  # the start is really wrong
+    hybrid = _fit_hybrid(start, log, 3.0, loss)
+    assert _prediction_error(hybrid.vehicle, truth) < best / times_better
+    np.testing.assert_allclose(hybrid.chi2_per_sample, 1.0, atol=0.15)
 
 
 def test_an_unfitted_network_is_the_physics_and_a_fitted_one_is_zero_at_rest():

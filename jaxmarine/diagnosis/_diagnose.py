@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .._types import CHANNELS
+from .._types import CHANNELS, SENSORS
 from ..effects import CATALOGUE, AbstractEffect, place
 from ..fitting import cut, noise_of
 from ..logs import Log
@@ -23,6 +23,9 @@ from ._search import Round, dispersion, needed, penalty, search
 from ._unknown import Dependence, cost_of_removal, dependences
 
 WINDOW = 4.0  # [s]
+# Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
+FEWEST_WINDOWS = 16
+SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them.
 STAND_IN = 0.35
@@ -48,7 +51,7 @@ def diagnose(
 
     - `train`: logs in order of time; `test`: the log on which the gain is measured.
     - `catalogue`: the effects that are suspected; `(*CATALOGUE, YourEffect)` adds one of your own.
-    - `window`: length of the windows [s]; default 4 s, longer where the sampling is slow.
+    - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage.
 
     Raises `InputError` where the logs are too short.
@@ -139,8 +142,11 @@ def diagnose(
 
 
 def _window(logs: Sequence[Log], window: float | None) -> float:
+    if window is not None:
+        return window
     dt = float(np.median([log.dt for log in logs]))
-    return max(WINDOW, FEWEST_SAMPLES * dt) if window is None else window
+    length = np.clip(sum(log.duration for log in logs) / FEWEST_WINDOWS, SHORTEST, WINDOW)
+    return float(max(length, FEWEST_SAMPLES * dt))
 
 
 def _speed(logs: Sequence[Log]) -> float:
@@ -163,8 +169,6 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
     A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
     would outweigh all others.
     """
-    from .._types import SENSORS
-
     stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
     free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
     if not free:

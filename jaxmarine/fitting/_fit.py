@@ -19,8 +19,8 @@ from ._one_step import fit_one_step
 from ._trajectory import fit_trajectory
 from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 
-# Half a chi-square that is not worth another step: a fifth of a standard error.
-_WITHIN_NOISE = 0.02
+# Half a chi-square that is not worth another step: a third of a standard error.
+_WITHIN_NOISE = 0.05
 # Lines of undetermined combinations that a printed fit shows.
 _SHOWN = 6
 

@@ -1,0 +1,264 @@
+"""The command line: help with examples, one sentence for what cannot be used, files as promised."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jaxmarine as jm
+from jaxmarine.cli import main
+from jaxmarine.examples import operator, recorded
+
+COMMANDS = ("diagnose", "simulate", "fit", "demo")
+
+
+@pytest.fixture
+def jaxmarine(capsys) -> Callable[..., tuple[int, str, str]]:
+    """Runs a command line in this process: exit code, stdout, stderr."""
+
+    def run(*words: str | Path) -> tuple[int, str, str]:
+        argv = ["jaxmarine", *map(str, words)]
+        code = 0
+        with mock.patch.object(sys, "argv", argv), mock.patch.dict(os.environ):
+            try:
+                main()
+            except SystemExit as end:
+                code = int(end.code or 0)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def ship() -> jm.Vehicle:
+    return jm.load_vehicle(jm.packaged_vehicle("cybership2"))
+
+
+@pytest.fixture(scope="module")
+def dive(ship) -> jm.Log:
+    """Twenty seconds of CyberShip II under an operator, with noise."""
+    t = np.arange(0.0, 20.0, 0.1)
+    return recorded(ship, operator(3, t, seed=1), t, seed=2, name="dive.csv")
+
+
+@pytest.fixture
+def folder(tmp_path, ship, dive) -> Path:
+    """A good vehicle file and a good log, to be spoilt by a test."""
+    jm.save_vehicle(ship, tmp_path / "ship.toml")
+    jm.write_log(dive, tmp_path / "dive.csv")
+    return tmp_path
+
+
+# --- help ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_an_example(jaxmarine, command):
+    code, out, err = jaxmarine(command, "--help")
+    assert code == 0 and not err
+    assert f"Example: jaxmarine {command} --" in " ".join(out.split())
+
+
+def test_the_bare_command_lists_what_there_is(jaxmarine):
+    code, out, _ = jaxmarine("--help")
+    assert code == 0
+    assert all(command in out for command in COMMANDS)
+
+
+def test_a_shell_sees_one_sentence_and_exit_code_2(tmp_path):
+    """In a process of its own, as a user's shell starts it."""
+    program = [sys.executable, "-c", "from jaxmarine.cli import main; main()"]
+    wrong = [*program, "simulate", "--vehicle", "nowhere.toml", "--log", "nowhere.csv"]
+    done = subprocess.run(wrong, capture_output=True, text=True, timeout=300, cwd=tmp_path)
+    assert done.returncode == 2 and not done.stdout
+    expected = "nowhere.toml: cannot be read, because there is no such file; check the path."
+    assert one_sentence(done.stderr) == expected
+    assert not list(tmp_path.iterdir())
+
+
+# --- what cannot be used -------------------------------------------------------------------------
+
+
+def one_sentence(err: str) -> str:
+    text = err.rstrip("\n")
+    assert text and "\n" not in text, err
+    assert text.endswith((".", "?", ")")), err
+    assert "Traceback" not in err and "Error" not in err
+    return text
+
+
+def call(command: str, folder: Path) -> list[str | Path]:
+    """The command line with the folder's files, everything written below `out`."""
+    vehicle, log, out = folder / "ship.toml", folder / "dive.csv", folder / "out"
+    words: list[str | Path] = [command, "--vehicle", vehicle]
+    if command == "simulate":
+        return [*words, "--log", log, "--out", folder / "out.csv"]
+    if command == "fit":
+        return [*words, "--train", log, "--free", "damping", "--out", folder / "out.toml"]
+    return [*words, "--train", log, "--test", log, "--out", out]
+
+
+def spoil_log(change: Callable[[pd.DataFrame], pd.DataFrame | None]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        table = pd.read_csv(folder / "dive.csv")
+        changed = change(table)
+        (table if changed is None else changed).to_csv(folder / "dive.csv", index=False)
+
+    return spoil
+
+
+def spoil_vehicle(old: str, new: str) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        file = folder / "ship.toml"
+        text = jm.packaged_vehicle("cybership2").read_text()
+        assert text.count(old) == 1
+        file.write_text(text.replace(old, new))
+
+    return spoil
+
+
+def beyond(table: pd.DataFrame) -> None:
+    table.loc[7, "port"] = 1.2
+
+
+def backwards(table: pd.DataFrame) -> None:
+    table.loc[5, "t"] = 0.25
+
+
+def empty(table: pd.DataFrame) -> pd.DataFrame:
+    return table[["t", "x", "y", "psi", "star", "port", "bow"]].assign(psi=np.nan)
+
+
+BAD = {
+    "missing log": (
+        lambda folder: (folder / "dive.csv").unlink(),
+        "dive.csv: cannot be read, because there is no such file",
+    ),
+    "missing vehicle": (
+        lambda folder: (folder / "ship.toml").unlink(),
+        "ship.toml: cannot be read, because there is no such file",
+    ),
+    "wrong column": (spoil_log(lambda table: table.rename(columns={"port": "prt"})), "lacks `port`"),
+    "command beyond its range": (spoil_log(beyond), "command `port` is 1.2 in data row 8"),
+    "time goes back": (spoil_log(backwards), "is 0.25 s in data row 6, after 0.4 s"),
+    "channel empty": (spoil_log(empty), "`psi` has no value in any row"),
+    "matrix of wrong shape": (
+        spoil_vehicle("    [0.0, -0.1052, 0.0, 0.0, 0.0, 1.9],\n", ""),
+        "`damping.linear` must be 6 rows of 6 numbers",
+    ),
+    "negative mass": (spoil_vehicle("mass = 23.8", "mass = -23.8"), "`body.mass` is -23.8"),
+    "inertia not positive definite": (
+        spoil_vehicle("[0.0, 0.0, 1.76]", "[0.0, 0.0, -1.76]"),
+        "`body.inertia` must be positive definite",
+    ),
+}
+
+
+@pytest.mark.parametrize("command", ["diagnose", "simulate", "fit"])
+@pytest.mark.parametrize("spoil,fragment", BAD.values(), ids=BAD)
+def test_what_cannot_be_used_is_said_in_one_sentence(jaxmarine, folder, command, spoil, fragment):
+    spoil(folder)
+    before = sorted(folder.rglob("*"))
+    code, out, err = jaxmarine(*call(command, folder))
+    assert code == 2 and not out
+    assert fragment in one_sentence(err)
+    assert sorted(folder.rglob("*")) == before, "nothing is written"
+
+
+@pytest.mark.parametrize("command", ["diagnose", "fit"])
+def test_a_log_shorter_than_two_windows_is_refused(jaxmarine, folder, command):
+    spoil_log(lambda table: table.head(20))(folder)
+    before = sorted(folder.rglob("*"))
+    code, out, err = jaxmarine(*call(command, folder))
+    assert code == 2 and not out
+    assert "dive.csv: is shorter than two windows of" in one_sentence(err)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_column_map_that_does_not_fit_is_refused(jaxmarine, folder):
+    (folder / "map.toml").write_text('[columns]\nport = "left"\n')
+    for command in ("diagnose", "simulate", "fit"):
+        code, _, err = jaxmarine(*call(command, folder), "--columns", folder / "map.toml")
+        assert code == 2
+        assert "has no column `left`" in one_sentence(err)
+
+
+@pytest.mark.parametrize("out", ["nowhere/out.csv", "out.txt"])
+def test_a_log_is_not_written_where_it_cannot_be(jaxmarine, folder, out):
+    words = call("simulate", folder)[:-1]
+    code, _, err = jaxmarine(*words, folder / out)
+    assert code == 2
+    assert out.split("/")[-1] in one_sentence(err)
+
+
+def test_what_is_fitted_has_a_known_name(jaxmarine, folder):
+    code, _, err = jaxmarine(*call("fit", folder), "--free", "colour")
+    assert code == 2
+    assert "choose from damping" in one_sentence(err)
+
+
+# --- what is written -----------------------------------------------------------------------------
+
+
+def test_simulate_writes_the_log_of_the_vehicle(jaxmarine, folder, ship, dive):
+    code, out, err = jaxmarine(*call("simulate", folder))
+    assert code == 0 and not err
+    assert "out.csv" in out
+    written = jm.read_log(folder / "out.csv", ship)
+    np.testing.assert_array_equal(written.t, dive.t)
+    np.testing.assert_array_equal(written.commands, dive.commands)
+    # From the log's first state, which is at rest: the noise is all that differs at first.
+    error = np.abs(written.channels - dive.channels)[:20]
+    limit = 8 * np.nanstd(np.diff(dive.channels, axis=0), axis=0)
+    moving = np.isfinite(error).all(0)
+    assert moving.sum() >= 9
+    assert (error[:, moving] < limit[moving] + 1e-9).all()
+
+
+def test_simulate_reads_foreign_columns_and_writes_parquet(jaxmarine, folder, ship):
+    table = pd.read_csv(folder / "dive.csv")
+    table["left"] = 100.0 * table.pop("port")
+    table.to_csv(folder / "dive.csv", index=False)
+    (folder / "map.toml").write_text('[columns]\nport = {from = "left", scale = 0.01}\n')
+    words = [*call("simulate", folder)[:-1], folder / "out.parquet"]
+    code, _, err = jaxmarine(*words, "--columns", folder / "map.toml")
+    assert code == 0 and not err
+    written = jm.read_log(folder / "out.parquet", ship)
+    assert written.commands is not None
+    np.testing.assert_allclose(written.commands[:, 1], table["left"] / 100.0, rtol=1e-12)
+
+
+def test_fit_writes_the_vehicle_that_made_the_log(jaxmarine, folder, ship):
+    thrust = np.asarray(ship.thrusters.max_thrust)
+    wrong = dataclasses.replace(
+        ship, thrusters=dataclasses.replace(ship.thrusters, max_thrust=0.7 * ship.thrusters.max_thrust)
+    )
+    jm.save_vehicle(wrong, folder / "ship.toml")
+    words = call("fit", folder)
+    words[words.index("damping")] = "thrust"
+    code, out, err = jaxmarine(*words)
+    assert code == 0 and not err
+    assert "thrusters.max_thrust[port]" in out and "converged" in out
+    fitted = jm.load_vehicle(folder / "out.toml")
+    # Twenty noisy seconds determine the thrust to about one part in a hundred.
+    np.testing.assert_allclose(fitted.thrusters.max_thrust, thrust, rtol=0.03)
+    np.testing.assert_array_equal(fitted.damping.linear, ship.damping.linear)
+    assert fitted.name == "cybership2"
+
+
+@pytest.mark.slow
+def test_the_demo_finds_what_it_hides(jaxmarine, folder):
+    code, out, _ = jaxmarine("demo", "--out", folder / "demo")
+    assert code == 0
+    assert "Verdict: explained" in out and "thruster_gain:port_h: factor = 0.7" in out
+    made = {path.name for path in (folder / "demo").iterdir()}
+    assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json"}
+    assert "index.html" in made

@@ -1,0 +1,113 @@
+"""What the README shows is so: its Python runs as written, its tables are those of the code."""
+
+import os
+import re
+import tomllib
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from jaxmarine.effects import place
+
+from .conftest import ROOT
+
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    """The README's blocks of code in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+def run(text: str) -> dict:
+    names: dict = {"__name__": "walk"}
+    exec(compile(text, "README.md", "exec"), names)
+    return names
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys):
+    walk, _ = blocks("python")
+    names = run(walk)
+    printed = capsys.readouterr().out
+    promised = blocks("text")[0]
+    # The same words; numbers to two of the printed digits, which other processors keep.
+    number = r"-?\d+\.\d+"
+    assert re.sub(number, "#", printed) == re.sub(number, "#", promised)
+    told = [[float(x) for x in re.findall(number, text)] for text in (printed, promised)]
+    np.testing.assert_allclose(told[0], told[1], rtol=0.05, atol=2e-3)
+
+    (finding,) = names["diagnosis"].findings
+    assert finding.label == "thruster_gain:port_h"
+    factor = finding.parameters["factor"]
+    assert abs(factor.value - 0.72) < 3 * factor.std
+    assert names["fit"].chi2_per_sample > 3.0  # no damping can stand in for the thruster
+    (placed,) = jm.load_vehicle(folder / "extended.toml").placed
+    assert float(placed.effect.parameters()["factor"][1]) == factor.value
+    assert {"index.html", "diagnosis.json", "figures"} <= set(os.listdir(folder / "report"))
+
+
+def test_an_effect_of_ones_own_is_suspected_and_acts(folder):
+    _, own = blocks("python")
+    names = run(own)
+    cubic = names["CubicDrag"]
+    assert names["catalogue"] == (*jm.CATALOGUE, cubic)
+    craft = jm.load_vehicle(jm.packaged_vehicle("cybership2"))
+    (suspect,) = cubic.suspects(craft)
+    assert set(suspect.slots) == set(cubic.units)
+
+    still = jm.initial_state(craft, velocity=(1.5, 0, 0, 0, 0, 0))
+    count = len(craft.thruster_names)
+    t = np.arange(0.0, 2.0, 0.1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), np.zeros((len(t), count)), None, craft.thruster_names, "-")
+
+    def speed(coefficient: float):
+        effect = place(suspect, craft, {"coefficient": coefficient})
+        return jm.simulate(craft.place(jm.Placed(effect)), log, still)["u"]
+
+    assert jnp.array_equal(speed(0.0), jm.simulate(craft, log, still)["u"])  # neutral
+    assert jnp.all(speed(2.0)[1:] < speed(0.0)[1:])
+    # It is written, and read again where the reader is told of it.
+    effect = place(suspect, craft, {"coefficient": 2.0})
+    jm.save_vehicle(craft.place(jm.Placed(effect)), folder / "own.toml")
+    again = jm.load_vehicle(folder / "own.toml", names["catalogue"])
+    assert jnp.array_equal(jm.simulate(again, log, still)["u"], speed(2.0))
+
+
+def test_the_table_of_the_catalogue_is_that_of_the_code():
+    table = README.split("## The catalogue")[1].split("### ")[0]
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines() if "`" in row]
+    rows = [row for row in rows if len(row) == 5]
+    assert [row[1].strip("`") for row in rows] == [effect.name for effect in jm.CATALOGUE]
+    for row, effect in zip(rows, jm.CATALOGUE, strict=True):
+        assert set(re.findall(r"`(\w+)`", row[3])) == set(effect.units), effect.name
+        units = set(re.findall(r"\[([^]]+)\]", row[3]))
+        assert units == set(effect.units.values()), effect.name
+        assert re.findall(r"`([^`]+)`", row[4]) == list(effect.confused_with), effect.name
+
+
+def test_the_room_list_names_what_is_there():
+    rooms = README.split("jaxmarine/\n", 1)[1].split("```")[0]
+    named = set(re.findall(r"\b(\w+\.py|\w+/)", rooms))
+    there = {path.name for path in (ROOT / "jaxmarine").glob("*.py")}
+    there |= {f"{path.name}/" for path in (ROOT / "jaxmarine").iterdir() if path.is_dir()}
+    assert there - {"__pycache__/"} <= named
+    vehicles = {path.stem for path in (ROOT / "jaxmarine" / "vehicles").glob("*.toml")}
+    assert all(name in rooms for name in vehicles)
+
+
+def test_pictures_and_examples_of_files_are_good():
+    for path in re.findall(r"\]\(([^)]+)\)", README):
+        assert (ROOT / path).exists(), path
+    for text in blocks("toml"):
+        tomllib.loads(text)
+    pictures = (ROOT / "docs").glob("*.png")
+    assert sum(path.stat().st_size for path in pictures) < 300_000
