@@ -80,6 +80,7 @@ def diagnose(
     from .logs import read_log
     from .vehicle_io import load_vehicle
 
+    _folder(out, make=False)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
     logs = [read_log(path, craft, columns_map) for path in train]
@@ -87,6 +88,15 @@ def diagnose(
     with _progress("diagnosing") as tell:
         result = run(craft, logs, held_out, window=window, progress=tell)
     _write(result, out)
+
+
+def _folder(out: Path, make: bool = True) -> None:
+    """Makes the folder for the results, or only checks that it could be made."""
+    nearest = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"{out}: is no folder that can be written; choose another --out.")
+    if make:
+        out.mkdir(parents=True, exist_ok=True)
 
 
 def _columns(path: Path | None):
@@ -100,14 +110,9 @@ def _write(result, out: Path) -> None:
     from .reports import write_report
     from .vehicle_io import save_vehicle
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out}: is no folder that can be written ({error.strerror}); choose another."
-        ) from error
-    save_vehicle(result.extended, out / "extended.toml")
+    _folder(out)
     page = write_report(result, out)
+    save_vehicle(result.extended, out / "extended.toml")
     _out.print(f"Verdict: [bold]{result.verdict.replace('_', ' ')}[/bold]")
     for finding in result.findings:
         values = ", ".join(
@@ -236,7 +241,7 @@ def demo(
     craft = load_vehicle(packaged_vehicle("tethra"))
     with _progress("simulating Tethra") as tell:
         train, test = hidden(craft, "thruster_gain", "port_h", {"factor": 0.72})
-        out.mkdir(parents=True, exist_ok=True)
+        _folder(out)
         save_vehicle(craft, out / "vehicle.toml")
         write_log(train, out / "train.csv")
         write_log(test, out / "test.csv")

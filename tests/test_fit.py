@@ -156,26 +156,19 @@ def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
 # --- what the data do not determine -----------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("mass", "damping", "lost"),
-    [
-        # Damping free: at rest it has little influence, whatever it is.
-        (0.1, np.inf, {"damping.linear", "damping.quadratic"}),
-        # Added mass free: the noise in the initial states looks like motion that determines it.
-        (np.inf, 1e-3, {"added_mass"}),
-    ],
-)
-def test_an_axis_at_rest_is_reported(mass: float, damping: float, lost: set[str]):
+def test_an_axis_at_rest_is_reported():
+    """Noise in its estimated initial states looks like motion that determines its parameters."""
     commands = steps()
     commands[:, 2] = 0.0  # straight on: both astern alike, the bow thruster off
     commands[:, 1] = commands[:, 0]
-    spreads = (jnp.full((6, 6), mass), *[jnp.full((6, 6), damping)] * 2)
-    log = record(boat(), commands)
+    # A prior on the added mass keeps the solve short; the information does not count it.
+    spreads = (jnp.full((6, 6), 0.1), *[jnp.full((6, 6), jnp.inf)] * 2)
+    log = record(boat(), commands, seed=1)
     still = fit(boat(), log, everything, entries="nonzero", prior=spreads)
     named = {name for c in still.undetermined for name, _ in c.weights}
-    assert {f"{leaf}[{axis}]" for leaf in lost for axis in ("sway", "yaw")} <= named
-    free = {f"{leaf}[surge]" for leaf in lost}
-    assert not free & named
+    leaves = ("added_mass", "damping.linear", "damping.quadratic")
+    assert {f"{leaf}[{axis}]" for leaf in leaves for axis in ("sway", "yaw")} <= named
+    assert not {f"{leaf}[surge]" for leaf in leaves} & named
     assert "not determined by the data" in repr(still)
 
 
@@ -197,9 +190,9 @@ def test_a_prior_holds_what_it_names():
     np.testing.assert_allclose(found.vehicle.added_mass, boat().added_mass, atol=1e-3)
     np.testing.assert_allclose([p.std_model for p in found.parameters[:4]], 1e-4, rtol=1e-2)
     free = many_fits("trajectory")[3]
-    for name in ("damping.linear[surge]", "damping.linear[sway]"):
+    for name, truth in (("damping.linear[surge]", 20.0), ("damping.linear[sway]", 60.0)):
         assert found[name].std_model < free[name].std_model
-        assert abs(found[name].value - planted(boat())[4:6].max()) < 100
+        assert abs(found[name].value - truth) < 4.0 * found[name].std_model
 
 
 # --- what is free -----------------------------------------------------------------------------

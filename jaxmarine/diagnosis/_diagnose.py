@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .._errors import InputError
 from .._types import CHANNELS, SENSORS
 from ..effects import CATALOGUE, AbstractEffect, place
 from ..fitting import cut, noise_of
@@ -58,6 +59,11 @@ def diagnose(
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
     notes = [note for log in (*logs, test) for note in log.notes]
+    if test.duration < HORIZON + 4.0:
+        raise InputError(
+            f"{test.name}: is shorter than a prediction with its run-in ({HORIZON + 4.0:g} s); "
+            "use a longer test log."
+        )
     bench = _workbench(vehicle, logs, catalogue, window)
     progress("fitting the vehicle file")
     base = bench.refine(bench.start())

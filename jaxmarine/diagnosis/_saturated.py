@@ -35,7 +35,7 @@ class Layout:
 
     neutral: Float[np.ndarray, " parameters"]
     suspects: tuple[Suspect, ...]
-    columns: tuple[Float[np.ndarray, "parameters own"], ...]  # one per suspect: parameters per z
+    columns: tuple[Float[np.ndarray, "parameters _"], ...]  # one per suspect: parameters per z
 
     @property
     def size(self) -> int:

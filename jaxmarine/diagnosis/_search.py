@@ -160,7 +160,7 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
     else:
         lost = before.chi2 - after.chi2
     t = lost.sum() / max(np.sqrt(len(lost)) * lost.std(ddof=1), 1e-9)
-    return trial.saved > needed(bench, trial.member, phi) and t > SIGMAS
+    return bool(trial.saved > needed(bench, trial.member, phi) and t > SIGMAS)
 
 
 def search(
