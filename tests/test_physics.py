@@ -229,14 +229,14 @@ def staircase(seed: int, samples: int = len(TIMES)) -> np.ndarray:
 
 
 def brute_force(t, commands, parts=400, **constants):
-    """Mean over each hold and value just before each sample, by small steps in time."""
+    """Mean over each hold, value at each sample, and slope over each hold, by small steps in time."""
     k = PLAIN | constants
     ends = np.append(t, 2 * t[-1] - t[-2])
     lag = np.broadcast_to(np.asarray(k["lag"], float), (2,))
-    means, at, state = [], [], None
+    means, at, slopes, state = [], [], [], None
     for first, last in itertools.pairwise(ends):
         h = (last - first) / parts
-        total = np.zeros(2)
+        total, moment = np.zeros(2), np.zeros(2)
         for part in range(parts):
             now = first + (part + 0.5) * h
             delayed = now - np.broadcast_to(np.asarray(k["delay"], float), (2,))
@@ -253,10 +253,14 @@ def brute_force(t, commands, parts=400, **constants):
             # The exact answer over a small step; its mean by the midpoint.
             away = state - goal
             rate = np.where(lag > 0.0, 1.0 / np.where(lag > 0.0, lag, 1.0), np.inf)
-            total += goal + away * np.exp(-0.5 * h * rate)
+            now_thrust = goal + away * np.exp(-0.5 * h * rate)
+            total += now_thrust
+            moment += now_thrust * (part + 0.5 - 0.5 * parts)
             state = goal + away * np.exp(-h * rate)
         means.append(total / parts)
-    return np.array(means), np.array(at)
+        # The straight line with the same first moment about the middle.
+        slopes.append(12.0 * moment / parts**3 / h)
+    return np.array(means), np.array(at), np.array(slopes)
 
 
 CHAINS = {
@@ -281,11 +285,13 @@ CHAINS = {
 def test_thrust_is_that_of_small_steps(chain):
     commands = staircase(3)
     constants = {name: np.array(value) for name, value in CHAINS[chain].items()}
-    mean, at = thrust_(drive_of(len(TIMES), **constants), jnp.asarray(TIMES), jnp.asarray(commands))
-    mean_by_hand, at_by_hand = brute_force(TIMES, commands, **constants)
+    push = thrust_(drive_of(len(TIMES), **constants), jnp.asarray(TIMES), jnp.asarray(commands))
+    mean_by_hand, at_by_hand, slope_by_hand = brute_force(TIMES, commands, **constants)
     # The midpoint rule over 400 parts of a hold errs by (0.1 / 0.15 / 400)^2 / 24 of 50 N.
-    assert np.abs(mean - mean_by_hand).max() < 1e-5
-    assert np.abs(at - at_by_hand).max() < 1e-9
+    assert np.abs(push.mean - mean_by_hand).max() < 1e-5
+    assert np.abs(push.instant - at_by_hand).max() < 1e-9
+    # Slopes reach 50 N / 0.1 s; the sum over 400 parts errs by 1/400^2 of that.
+    assert np.abs(push.slope - slope_by_hand).max() < 5e-3
 
 
 def test_delay_between_samples_and_uneven_sampling():
@@ -293,27 +299,32 @@ def test_delay_between_samples_and_uneven_sampling():
     t = np.cumsum(rng.uniform(0.03, 0.17, 40))
     commands = staircase(5)
     constants = {"delay": np.array([0.237, 0.061]), "gain": np.array([0.8, 1.1])}
-    mean, _ = thrust_(drive_of(40, **constants), jnp.asarray(t), jnp.asarray(commands))
-    by_hand, _ = brute_force(t, commands, parts=1000, **constants)
+    push = thrust_(drive_of(40, **constants), jnp.asarray(t), jnp.asarray(commands))
+    by_hand, at, slope = brute_force(t, commands, parts=1000, **constants)
     # A change of command falls into one of 1000 parts: 2 * 55 N / 1000.
-    assert np.abs(mean - by_hand).max() < 0.12
-    assert np.abs(mean - by_hand).mean() < 0.03
+    assert np.abs(push.mean - by_hand).max() < 0.12
+    assert np.abs(push.mean - by_hand).mean() < 0.03
+    assert np.abs(push.instant - at).max() < 1e-9
+    # The same part, at most half a hold (0.015 s at least) from its middle: 6 * 0.11 N / 0.03 s.
+    assert np.abs(push.slope - slope).max() < 22.0
+    assert np.abs(push.slope - slope).mean() < 1.0
 
 
 def test_delay_and_lag_of_zero_change_nothing_at_all():
     for t in (TIMES, np.cumsum(np.random.default_rng(6).uniform(0.03, 0.17, 40))):
         commands = staircase(7)
-        mean, at = thrust_(drive_of(40), jnp.asarray(t), jnp.asarray(commands))
-        assert np.array_equal(mean, 50.0 * commands)
-        assert np.array_equal(at, 50.0 * commands)
+        push = thrust_(drive_of(40), jnp.asarray(t), jnp.asarray(commands))
+        assert np.array_equal(push.mean, 50.0 * commands)
+        assert np.array_equal(push.instant, 50.0 * commands)
+        assert not np.any(push.slope)
 
 
 def test_a_lag_leaves_no_thrust_behind():
     """Over a long rest the impulse is that of the commands: only later."""
     commands = np.zeros((40, 2))
     commands[2:10] = 0.6
-    mean, _ = thrust_(drive_of(40, lag=np.array([0.1, 0.3])), jnp.asarray(TIMES), jnp.asarray(commands))
-    assert np.allclose(mean.sum(0), 50.0 * commands.sum(0), rtol=1e-4)  # exp(-3 s / 0.3 s)
+    push = thrust_(drive_of(40, lag=np.array([0.1, 0.3])), jnp.asarray(TIMES), jnp.asarray(commands))
+    assert np.allclose(push.mean.sum(0), 50.0 * commands.sum(0), rtol=1e-4)  # exp(-3 s / 0.3 s)
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "inflow"])
@@ -331,9 +342,11 @@ def test_thrust_has_the_derivative_of_finite_differences(name):
     between = jax.tree.map(
         lambda a, b: (a - b) / (2 * step), jax.jit(at)(value + step), jax.jit(at)(value - step)
     )
-    for exact, difference in zip(slope, between, strict=True):
+    # Rounding over 2e-6; the slope is a small difference of first moments, times 12 / dt³.
+    for part, atol in ("mean", 1e-5), ("slope", 1e-2), ("instant", 1e-5):
+        exact, difference = getattr(slope, part), getattr(between, part)
         assert np.abs(exact).max() > 0.0
-        assert np.allclose(exact, difference, rtol=1e-5, atol=1e-5)  # rounding over 2e-6
+        assert np.allclose(exact, difference, rtol=1e-5, atol=atol)
 
 
 def test_derivatives_at_zero_are_finite_and_one_sided():
@@ -341,7 +354,7 @@ def test_derivatives_at_zero_are_finite_and_one_sided():
 
     def at(delay, lag, deadband):
         drive = drive_of(len(TIMES), delay=delay, lag=lag, deadband=deadband)
-        return thrust(drive, jnp.asarray(TIMES), commands)[0]
+        return thrust(drive, jnp.asarray(TIMES), commands).mean
 
     zero = jnp.zeros(())
     slopes = jax.jacfwd(at, argnums=(0, 1, 2))(zero, zero, zero)
