@@ -59,12 +59,12 @@ def diagnose(
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
     notes = [note for log in (*logs, test) for note in log.notes]
+    bench = _workbench(vehicle, logs, catalogue, window)
     if test.duration < HORIZON + 4.0:
         raise InputError(
             f"{test.name}: is shorter than a prediction with its run-in ({HORIZON + 4.0:g} s); "
             "use a longer test log."
         )
-    bench = _workbench(vehicle, logs, catalogue, window)
     progress("fitting the vehicle file")
     base = bench.refine(bench.start())
     bench = _rescaled(bench, base, vehicle)
