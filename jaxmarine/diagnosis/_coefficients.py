@@ -56,7 +56,7 @@ def settle(bench: Workbench, model: Model) -> tuple[Model, bool]:
     if len(chosen) > FEW:
         return model, True
     z = model.z.copy()
-    frozen = dataclasses.replace(model, z=z, frozen=True)
+    frozen = bench.frozen(dataclasses.replace(model, z=z))
     for j in chosen:
         frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), z[j : j + 1])
     frozen.z[: len(bench.base)] = 0.0

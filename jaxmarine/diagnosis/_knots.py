@@ -25,6 +25,15 @@ from ._score import Reduced, solve
 LENGTH = 0.5
 
 
+def on_axis(
+    axis: int, values: Float[np.ndarray, "windows knots features"]
+) -> Float[np.ndarray, "windows knots 6 features"]:
+    """Wrenches that take the given values on one axis and are zero on all others."""
+    out = np.zeros((*values.shape[:2], 6, values.shape[2]))
+    out[:, :, axis] = values
+    return out
+
+
 @dataclasses.dataclass(frozen=True)
 class Knots:
     """Statistics of the known parameters and the knots, and the signals at the knots.
@@ -44,12 +53,6 @@ class Knots:
     rotation: Float[np.ndarray, "windows knots 3 3"]
     velocity: Float[np.ndarray, "windows knots 6"]
     signals: dict[str, np.ndarray]
-
-    def columns(self, axis: int, values: Float[np.ndarray, "windows knots features"]) -> Reduced:
-        """Statistics of z and of wrenches on one axis that take the given values at the knots."""
-        whole = np.zeros((*values.shape[:2], 6, values.shape[2]))
-        whole[:, :, axis] = values
-        return self.wrench(whole)
 
     def wrench(self, values: Float[np.ndarray, "windows knots 6 features"]) -> Reduced:
         """Statistics of z and of wrenches with the given values at the knots."""

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
     Cut,
@@ -90,7 +91,6 @@ class Workbench:
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
         weight = np.asarray(data.windows.weight)
         self.accelerations = bool((weight[..., 12:] > 0).any())
-        self.ends = data.starts + data.length
         self.window_log = np.asarray(data.windows.log)
 
     # --- the affine map of z -------------------------------------------------------------------
@@ -313,7 +313,7 @@ def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, .
         for kind, scale, value in kinds:
             if suspect.effect is kind:
                 place = int(np.flatnonzero(layout.columns[i][:, 0])[0])
-                axis = ("surge", "sway", "heave", "roll", "pitch", "yaw").index(str(suspect.target))
+                axis = DOFS.index(str(suspect.target))
                 size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
                 out.append(
                     Coefficient(suspect.label, axis, place, float(value[axis]), size, kind.units["value"])

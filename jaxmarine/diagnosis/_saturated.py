@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.flatten_util
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -67,8 +66,3 @@ def saturate(
             suspects.append(suspect)
             columns.append(column)
     return families, Layout(np.asarray(flat), tuple(suspects), tuple(columns))
-
-
-def neutral_theta(layout: Layout, segments: int) -> Array:
-    """The neutral parameters of each segment."""
-    return jnp.tile(jnp.asarray(layout.neutral), (segments, 1))

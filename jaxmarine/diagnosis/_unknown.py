@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import ATTITUDE, DOFS, POSITION
-from ._knots import Knots, missing_wrench
+from ._knots import Knots, missing_wrench, on_axis
 from ._score import left_out_savings, solve
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
@@ -78,16 +78,12 @@ class _Ledger:
             self.add(int(axis), np.ones((*k.t.shape, 1)))
 
     def add(self, axis: int, values: np.ndarray) -> None:
-        whole = np.zeros((*values.shape[:2], 6, values.shape[2]))
-        whole[:, :, axis] = values
-        self.known = np.concatenate([self.known, whole], axis=-1)
+        self.known = np.concatenate([self.known, on_axis(axis, values)], axis=-1)
         self.ridge = np.concatenate([self.ridge, np.full(values.shape[2], self.size[axis] ** -2.0)])
 
     def saved(self, axis: int, values: np.ndarray) -> Float[np.ndarray, " windows"]:
         """Chi-square saved on each window by regressors fitted on the others."""
-        whole = np.zeros((*values.shape[:2], 6, values.shape[2]))
-        whole[:, :, axis] = values
-        stats = self.k.wrench(np.concatenate([self.known, whole], axis=-1))
+        stats = self.k.wrench(np.concatenate([self.known, on_axis(axis, values)], axis=-1))
         precision = np.concatenate([self.k.precision, self.ridge])
         offset = np.concatenate([self.k.offset, np.zeros(len(self.ridge))])
         own = np.full(values.shape[2], self.size[axis] ** -2.0)
@@ -171,9 +167,7 @@ def cost_of_removal(
     """
     whole = np.zeros((*k.t.shape, 6, 0))
     for one in found:
-        values = np.zeros((*k.t.shape, 6, one.features.shape[-1]))
-        values[:, :, one.axis] = one.features
-        whole = np.concatenate([whole, values], axis=-1)
+        whole = np.concatenate([whole, on_axis(one.axis, one.features)], axis=-1)
     out = []
     for where in members:
         pair = []
