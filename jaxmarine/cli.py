@@ -38,13 +38,14 @@ ColumnsOption = Annotated[
 
 def _prepare() -> None:
     """Double precision, and compiled programs kept in the user's cache folder between runs."""
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxmarine"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(home))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxmarine"
+        jax.config.update("jax_compilation_cache_dir", str(home))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 @contextmanager
