@@ -147,21 +147,15 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     serves all thrusters; `slopes` are the constants' derivatives [segments, thrusters, z].
     """
     leaves, structure = jax.tree.flatten(drives)
-    segments = leaves[0].shape[0]
+    units = np.eye(len(leaves) * leaves[0].shape[0]).reshape(-1, len(leaves), leaves[0].shape[0], 1)
+    basis = [jnp.broadcast_to(units[:, i], (len(units), *leaf.shape)) for i, leaf in enumerate(leaves)]
 
-    def along(field, segment):
-        tangents = [jnp.zeros_like(leaf) for leaf in leaves]
-        tangents[field] = tangents[field].at[segment].set(1.0)
-        _, out = jax.jvp(lambda d: _drives(problem, d), (drives,), (jax.tree.unflatten(structure, tangents),))
-        return out
+    def along(tangent):
+        return jax.jvp(lambda d: _drives(problem, d), (drives,), (tangent,))[1]
 
-    mean = at = jnp.zeros(())
-    for field, slope in enumerate(jax.tree.leaves(slopes)):
-        for segment in range(segments):
-            out = along(field, segment)
-            mean = mean + out.mean[..., None] * slope[segment][None, None]
-            at = at + out.instant[..., None] * slope[segment][None, None]
-    return mean, at
+    out = jax.vmap(along)(jax.tree.unflatten(structure, basis))
+    slope = jnp.stack(jax.tree.leaves(slopes)).reshape(-1, *jax.tree.leaves(slopes)[0].shape[1:])
+    return tuple(jnp.einsum("kgst,ktz->gstz", values, slope) for values in (out.mean, out.instant))
 
 
 def _memory(problem: Problem, plants: Plant):
@@ -316,16 +310,17 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         return nu_dot, slopes, plant.inverse_mass
 
     def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
-        """nu', d(nu')/dx and d(nu')/dz at every step of a window."""
+        """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
         nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
         by_z = _contract(by_theta, spread, segment) + by_thrust @ d_thrust
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
         nu_z = -inverse @ by_z
         if knots:
-            inverse = jnp.broadcast_to(inverse, (steps, 6, 6))
-            pushed = inverse[:, :, None, :] * part[:, None, :, None]
-            nu_z = jnp.concatenate([nu_z, pushed.reshape(steps, 6, 6 * knots)], axis=-1)
+            inverse = jnp.broadcast_to(inverse, (len(x), 6, 6))
+            here = jnp.tile(part, (len(x) // steps, 1))
+            pushed = inverse[:, :, None, :] * here[:, None, :, None]
+            nu_z = jnp.concatenate([nu_z, pushed.reshape(len(x), 6, 6 * knots)], axis=-1)
         return nu_dot, -inverse @ by_x, nu_z
 
     def kinematics(x):
@@ -333,12 +328,9 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         turn = rotation(x[3:7])
         return jnp.concatenate([apply(turn, x[7:10]), attitude_rate(x[3:7], x[10:13])])
 
-    def propagators(x, track, d_thrust, d_lagged):
+    def propagators(x, dt, nu_x, nu_z):
         """A and B of every step of a window, from the point in its middle."""
-        over = Input(track.over.thrust, track.over.command, track.over.wrench, track.over.middle)
-        lagged = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
-        _, nu_x, nu_z = tangents(x, over, lagged, track.segment, d_thrust, d_lagged)
-        dt = track.dt[:, None, None]
+        dt = dt[:, None, None]
         f = jnp.concatenate([jax.vmap(jax.jacfwd(kinematics))(x), nu_x], axis=1)
         exp, phi = _exponential(dt * f)
         return exp, dt * (phi[:, :, 7:] @ nu_z)
@@ -349,17 +341,8 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         plant = eqx.tree_at(lambda p: p.sensors, plant, unravel(sensors))
         return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
 
-    def sensed(x, track, d_thrust, d_lagged):
+    def sensed(x, segment, nu_dot, nu_x, nu_z):
         """Readings at every sample of a window and their derivatives with respect to x and z."""
-        segment = track.segment
-        if problem.accelerations:
-            nu_dot, nu_x, nu_z = tangents(x, track.instant, track.lagged, segment, d_thrust, d_lagged)
-        else:
-            nu_dot, nu_x, nu_z = (
-                jnp.zeros((steps, 6)),
-                jnp.zeros((steps, 6, 13)),
-                jnp.zeros((steps, 6, count)),
-            )
 
         def one(x, nu_dot, segment):
             sensors = _pick(chain, segment).sensors
@@ -389,8 +372,19 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
             if d_slow.shape[-1]
             else d_slow
         )
-        a, b = propagators(middle, track, d_mean, d_lagged)
-        value, h_x, h_z = sensed(x, track, d_at, d_lagged)
+        over = Input(track.over.thrust, track.over.command, track.over.wrench, track.over.middle)
+        between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
+        at_middle = (middle, over, between, track.segment, d_mean, d_lagged)
+        if problem.accelerations:
+            # Both sets of points in one call: the derivatives of the balance are compiled once.
+            at_sample = (x, track.instant, track.lagged, track.segment, d_at, d_lagged)
+            both = tangents(*jax.tree.map(lambda *parts: jnp.concatenate(parts), at_middle, at_sample))
+            (_, nu_x, nu_z), seen = [part[:steps] for part in both], [part[steps:] for part in both]
+        else:
+            _, nu_x, nu_z = tangents(*at_middle)
+            seen = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, count))
+        a, b = propagators(middle, track.dt, nu_x, nu_z)
+        value, h_x, h_z = sensed(x, track.segment, *seen)
 
         def recur(s, now):
             a, b = now
@@ -414,9 +408,10 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         )
 
     # In batches: the derivatives of some hundred steps stay in the processor's cache, and the memory
-    # does not grow with the length of the logs.
-    return jax.lax.map(
-        one,
-        (problem.windows, tracks, delta, d_mean[log, step], d_at[log, step], d_lagged[log, step]),
-        batch_size=BATCH,
-    )
+    # does not grow with the length of the logs. Filled up, so that no shorter batch is compiled as well.
+    everything = (problem.windows, tracks, delta, d_mean[log, step], d_at[log, step], d_lagged[log, step])
+    windows = len(delta)
+    fill = -windows % BATCH
+    filled = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], fill, axis=0)]), everything)
+    out = jax.lax.map(one, filled, batch_size=BATCH)
+    return jax.tree.map(lambda a: a[:windows], out)
