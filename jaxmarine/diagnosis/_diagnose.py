@@ -398,6 +398,6 @@ def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, 
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
     candidates = [before, final] if changed else [before]
     times, predicted, measured, begin = predictions(
-        candidates, test, bench.noise, run_in, bench.data.split, passed
+        candidates, test, bench.noise, run_in, bench.data.split, passed, bench.room
     )
     return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, twin is None)

@@ -9,9 +9,10 @@ import numpy as np
 
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
-from ..fitting import Problem, Task, cut, predict, refine_windows, start_precision
+from ..fitting import Problem, Room, Task, cut, predict, refine_windows, start_precision
 from ..logs import Log
 from ..vehicle import Vehicle
+from ._model import SLOTS
 from ._result import BeforeAfter, Gain, Predictions
 from ._saturated import SaturatedPlant
 
@@ -41,8 +42,11 @@ def predictions(
     run_in: float,
     split: int,
     segment: np.ndarray,
+    room: Room,
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, int]:
     """Times, predicted channels of each candidate, measured channels, and where the prediction begins.
+
+    `room`: that of the training, whose program estimates the starts where the log fits into it.
 
     Each candidate estimates the state at a start by itself, from the `run_in` seconds before it; what
     lies after the start is not looked at.
@@ -51,27 +55,32 @@ def predictions(
     stride = max(log.dt, (log.duration - length) / STARTS)
     vehicle = candidates[0].vehicle
     data = cut(vehicle, [log], noise, length, stride, split, [segment])
-    steps = data.windows.step.shape[1]
-    begin = round(run_in / length * steps / split) * split
-    known = jnp.arange(steps) < begin
-    seen = eqx.tree_at(lambda w: w.weight, data.windows, data.windows.weight * known[None, :, None])
+    own = Room.of(data.records, data.windows)
+    room = room if room.holds(own) else own
+    records, windows = room.filled(data.records, data.windows)
     weight = np.asarray(data.windows.weight)
+    accelerations = bool((weight[..., 12:] > 0).any())
+    begin = round(run_in / length * windows.step.shape[1] / split) * split
+    names = ("step", "measured", "weight")
+    seen = dataclasses.replace(windows, **{name: getattr(windows, name)[:, :begin] for name in names})
+    precision = jnp.asarray(start_precision(vehicle.free))
     out = []
     for one in candidates:
-        segments, size = one.theta.shape
-        plant = SaturatedPlant(one.vehicle, one.families, jnp.ones((segments, len(one.vehicle.placed))))
-        problem = Problem(
-            plant,
-            data.records,
-            seen,
-            jnp.asarray(start_precision(vehicle.free)),
-            bool((weight[..., 12:] > 0).any()),
-        )
+        gates = jnp.ones((len(one.theta), len(one.vehicle.placed)))
+        plant = SaturatedPlant(one.vehicle, one.families, gates)
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
-        task = Task(problem, theta, jnp.zeros((segments, size, 1)), jnp.ones(1), jnp.zeros(1))
-        started = refine_windows(task, jnp.zeros(1), jnp.zeros((data.windows.count, 12)), 10)
-        out.append(np.asarray(_predicted(problem, theta, started.delta))[:, ::split])
+        task = Task(
+            Problem(plant, records, seen, precision, accelerations),
+            theta,
+            jnp.zeros((*theta.shape, SLOTS)),
+            jnp.ones(SLOTS),
+            jnp.zeros(SLOTS),
+        )
+        started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10)
+        problem = Problem(plant, records, windows, precision, accelerations)
+        shown = np.asarray(_predicted(problem, theta, started.delta))
+        out.append(shown[: data.windows.count, ::split])
     times = log.t[np.asarray(data.windows.step)[:, ::split] // split]
     measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)[:, ::split]
     return times, out, measured, begin // split

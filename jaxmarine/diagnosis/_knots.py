@@ -7,22 +7,17 @@ swings with a period. No hypothesis needs a simulation of its own.
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..fitting import linearise
 from ..logs import smooth_states
 from ..networks import SIGNALS
 from ..physics import from_euler, rotation
-from ._model import SLOTS, Model, Workbench
+from ._model import KNOT, Model, Workbench
 from ._result import MissingWrench
 from ._score import Reduced, solve
-
-# Length of a knot [s]: shorter than what a craft's wrench changes in, long enough for the noise.
-LENGTH = 0.5
 
 
 def on_axis(
@@ -72,21 +67,17 @@ class Knots:
         )
 
 
-@eqx.filter_jit
-def _knot_statistics(task, z, delta, knots: int):
-    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta, knots)
-    return stats.reduced()
-
-
 def knots(bench: Workbench, model: Model) -> Knots:
     """The knots' statistics at a model."""
-    count = max(2, round(bench.data.length / LENGTH))
-    z = np.zeros(SLOTS)
-    z[: len(model.z)] = model.z
-    task = bench.task(model)
-    chi2, g, h = (np.asarray(a) for a in _knot_statistics(task, jnp.asarray(z), model.delta, count))
-    used = np.r_[: len(model.z), SLOTS : SLOTS + 6 * count]
-    g, h = g[:, used], h[:, used][:, :, used]
+    count = bench.knots
+    whole = bench.screen_with_knots(model)
+    known, precision, offset = bench.known(model)
+    size, width = known.shape
+    # From the catalogue's parameters to the model's own.
+    into = np.zeros((whole.g.shape[1], width + 6 * count))
+    into[:size, :width] = known
+    into[size:, width:] = np.eye(6 * count)
+    stats = Reduced(whole.chi2, whole.g @ into, np.swapaxes(whole.h @ into, 1, 2) @ into)
 
     windows = bench.data.windows
     step = np.asarray(windows.step)
@@ -113,10 +104,10 @@ def knots(bench: Workbench, model: Model) -> Knots:
     signals = {name: values for name, values in signals.items() if np.ptp(values) > 1e-6}
     turns = np.asarray(jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6])))
     return Knots(
-        stats=Reduced(chi2, g, h),
-        width=len(model.z),
-        precision=np.asarray(task.precision)[: len(model.z)],
-        offset=model.z,
+        stats=stats,
+        width=width,
+        precision=precision,
+        offset=offset,
         free=bench.vehicle.free,
         t=t,
         log=log,
@@ -158,7 +149,7 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     """What a swinging force of the best period would save, and its parameters to start a fit from."""
     windows, count = k.t.shape
     longest = 0.5 * (k.t.max() - k.t.min())
-    periods = np.geomspace(4 * LENGTH, max(longest, 8 * LENGTH), 160)
+    periods = np.geomspace(4 * KNOT, max(longest, 8 * KNOT), 160)
     north = np.swapaxes(k.rotation, 2, 3)[:, :, :, 0]
     east = np.swapaxes(k.rotation, 2, 3)[:, :, :, 1]
     best = (-np.inf, {})

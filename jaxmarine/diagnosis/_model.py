@@ -14,6 +14,7 @@ from ..fitting import (
     Cut,
     Problem,
     Refined,
+    Room,
     Task,
     linearise,
     predict,
@@ -27,9 +28,13 @@ from ._score import Reduced
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
 SLOTS = 44
-# Members with a beginning of their own that the compiled screening has columns for.
-BEGINNINGS = 6
+# Members with a beginning of their own: parameters that the compiled screening has columns for, and
+# stretches between beginnings.
+BEGUN = 6
 SEGMENTS = 4
+# Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
+# for the noise.
+KNOT = 0.5
 # How far coefficients of a vehicle file are commonly wrong, relative to their value.
 FILE_ERROR = 0.1
 
@@ -92,6 +97,8 @@ class Workbench:
         weight = np.asarray(data.windows.weight)
         self.accelerations = bool((weight[..., 12:] > 0).any())
         self.window_log = np.asarray(data.windows.log)
+        self.room = Room.of(data.records, data.windows)
+        self.knots = max(2, round(data.length / KNOT))
 
     # --- the affine map of z -------------------------------------------------------------------
 
@@ -118,13 +125,15 @@ class Workbench:
             out += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
         return out
 
-    def segments(self, members: Sequence[Member]) -> int:
-        """How many segments the programs are compiled for: one, or room for several beginnings."""
-        return SEGMENTS if self.beginnings(members) else 1
+    def may_begin(self, model: Model, suspect: int) -> bool:
+        """Whether the programs have room for one more suspect with a beginning of its own."""
+        begun = [m for m in model.members if m.since is not None]
+        columns = sum(self.layout.columns[m.suspect].shape[1] for m in begun)
+        return len(begun) + 1 < SEGMENTS and columns + self.layout.columns[suspect].shape[1] <= BEGUN
 
-    def spread(self, members: Sequence[Member], width: int = SLOTS) -> np.ndarray:
+    def spread(self, members: Sequence[Member]) -> np.ndarray:
         begun = self.beginnings(members)
-        out = np.zeros((self.segments(members), self.layout.size, width))
+        out = np.zeros((SEGMENTS, self.layout.size, SLOTS))
         for j, coefficient in enumerate(self.base):
             out[:, coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
@@ -133,21 +142,18 @@ class Workbench:
         return out
 
     def problem(self, members: Sequence[Member]) -> Problem:
-        segments = self.segments(members)
-        records = self.data.records
-        if segments > 1:
-            steps = records.t.shape[1]
-            rows = [
-                np.repeat(self.passed(members, log, i), self.data.split)
-                for i, log in enumerate(self.data.logs)
-            ]
-            rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
-            records = dataclasses.replace(records, segment=jnp.asarray(np.array(rows)))
-        gates = np.ones((segments, len(self.vehicle.placed)))
+        steps = self.data.records.t.shape[1]
+        rows = [
+            np.repeat(self.passed(members, log, i), self.data.split) for i, log in enumerate(self.data.logs)
+        ]
+        rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
+        records = dataclasses.replace(self.data.records, segment=jnp.asarray(np.array(rows)))
+        records, windows = self.room.filled(records, self.data.windows)
+        gates = np.ones((SEGMENTS, len(self.vehicle.placed)))
         return Problem(
             SaturatedPlant(self.vehicle, self.families, jnp.asarray(gates)),
             records,
-            self.data.windows,
+            windows,
             jnp.asarray(start_precision(self.vehicle.free)),
             self.accelerations,
         )
@@ -162,12 +168,11 @@ class Workbench:
         return out
 
     def task(self, model: Model) -> Task:
-        segments = self.segments(model.members)
         precision = np.ones(SLOTS)
         precision[: len(model.z)] = self._precision(model)
         return Task(
             self.problem(model.members),
-            jnp.tile(jnp.asarray(self.layout.neutral), (segments, 1)),
+            jnp.tile(jnp.asarray(self.layout.neutral), (SEGMENTS, 1)),
             jnp.asarray(self.spread(model.members)),
             jnp.asarray(precision),
             jnp.zeros(SLOTS),
@@ -176,7 +181,7 @@ class Workbench:
     # --- what the search asks ------------------------------------------------------------------
 
     def start(self) -> Model:
-        return Model((), np.zeros(len(self.base)), jnp.zeros((self.count, 12)), np.inf)
+        return Model((), np.zeros(len(self.base)), jnp.zeros((self.room.windows, 12)), np.inf)
 
     def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-9) -> Model:
         """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square."""
@@ -230,30 +235,33 @@ class Workbench:
 
     def screen(self, model: Model) -> Reduced:
         """Reduced statistics of every parameter of the catalogue at the model, then of members that begin."""
-        begun = [m for m in model.members if m.since is not None]
-        theta, spread = self._screening(model, begun)
-        stats = _linearise(self.problem(model.members), theta, spread, model.delta)
-        chi2, g, h = stats.reduced()
-        return Reduced(np.asarray(chi2), np.asarray(g), np.asarray(h))
+        whole = self.screen_with_knots(model)
+        n = self.layout.size + BEGUN
+        return Reduced(whole.chi2, whole.g[:, :n], whole.h[:, :n, :n])
 
-    def _screening(self, model: Model, begun: Sequence[Member]):
+    def screen_with_knots(self, model: Model) -> Reduced:
+        """Those of `screen`, then of a free wrench on the hull in each of `knots` parts of a window."""
         spread = self.spread(model.members)
         theta = self.theta(model)
-        segments, size = theta.shape
-        out = np.zeros((segments, size, size + BEGINNINGS))
+        size = self.layout.size
+        out = np.zeros((SEGMENTS, size, size + BEGUN))
         out[:, :, :size] = np.eye(size)
         at = size
         for member, where in zip(model.members, self.slices(model.members), strict=True):
-            if member in begun:
+            if member.since is not None:
                 width = where.stop - where.start
                 out[:, :, at : at + width] = spread[:, :, where]
                 at += width
-        return jnp.asarray(theta), jnp.asarray(out)
+        stats = _linearise(
+            self.problem(model.members), jnp.asarray(theta), jnp.asarray(out), model.delta, self.knots
+        )
+        chi2, g, h = (np.asarray(a)[: self.count] for a in stats.reduced())
+        return Reduced(chi2, g, h)
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns (in the screening's order) that the model already has; prior precision; z."""
         size = self.layout.size
-        columns = np.zeros((size + BEGINNINGS, len(model.z)))
+        columns = np.zeros((size + BEGUN, len(model.z)))
         for j, coefficient in enumerate(self.base):
             columns[coefficient.index, j] = 1.0
         at = size
@@ -269,7 +277,7 @@ class Workbench:
     def own(self, suspect: int) -> np.ndarray:
         """A suspect's columns in the screening's order."""
         columns = self.layout.columns[suspect]
-        return np.concatenate([columns, np.zeros((BEGINNINGS, columns.shape[1]))])
+        return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
 
 
 @eqx.filter_jit
@@ -278,8 +286,8 @@ def _residuals(problem, theta, delta):
 
 
 @eqx.filter_jit
-def _linearise(problem, theta, spread, delta):
-    return linearise(problem, theta, spread, delta)
+def _linearise(problem, theta, spread, delta, knots: int):
+    return linearise(problem, theta, spread, delta, knots)
 
 
 @dataclasses.dataclass(frozen=True)

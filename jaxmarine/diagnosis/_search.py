@@ -89,7 +89,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> list[tuple[Memb
     for i, row in zip(order, table, strict=True):
         out.append((Member(i), float(row[0])))
         w = int(np.argmax(row[1:])) + 1 if len(row) > 1 else 0
-        if w and row[w] > row[0] + max(40.0, 0.2 * row[0]):
+        if w and bench.may_begin(model, i) and row[w] > row[0] + max(40.0, 0.2 * row[0]):
             since = Beginning(int(bench.window_log[w]), float(bench.data.starts[w]))
             out.append((Member(i, since), float(row[w])))
     return sorted(out, key=lambda item: -item[1])

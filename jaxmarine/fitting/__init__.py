@@ -49,5 +49,6 @@ from ._uncertainty import Combination as Combination
 from ._uncertainty import Parameter as Parameter
 from ._windows import Cut as Cut
 from ._windows import Records as Records
+from ._windows import Room as Room
 from ._windows import Windows as Windows
 from ._windows import cut as cut

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -63,6 +64,44 @@ class Cut:
     starts: np.ndarray  # time at which each window starts [s, its log's own time]
     split: int
     length: float  # of a window [s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Room:
+    """Sizes of the arrays that a program is compiled for, so that logs of other lengths share it."""
+
+    logs: int
+    steps: int
+    windows: int
+
+    @staticmethod
+    def of(records: Records, windows: Windows) -> "Room":
+        """Steps rounded up to a power of two, windows by at most ten or an eighth."""
+        logs, steps = records.t.shape
+        grain = max(10, 2 ** (windows.count.bit_length() - 4))
+        return Room(logs, max(1024, 2 ** (steps - 1).bit_length()), -(-windows.count // grain) * grain)
+
+    def holds(self, other: "Room") -> bool:
+        return self.logs >= other.logs and self.steps >= other.steps and self.windows >= other.windows
+
+    def filled(self, records: Records, windows: Windows) -> tuple[Records, Windows]:
+        """The arrays filled up with logs that no window looks at and windows that weigh nothing."""
+        logs, steps = records.t.shape
+        after = records.t[:, -1:] + records.dt[:, -1:] * jnp.arange(1, self.steps - steps + 1)
+
+        def stretch(a):
+            """More rows, and more steps, like the last ones."""
+            more = [(0, self.logs - logs), (0, self.steps - a.shape[1])] + [(0, 0)] * (a.ndim - 2)
+            return jnp.pad(a, more, mode="edge")
+
+        records = dataclasses.replace(records, t=jnp.concatenate([records.t, after], axis=1))
+        more = self.windows - windows.count
+        again = jax.tree.map(lambda a: jnp.repeat(a[-1:], more, axis=0), windows)
+        again = dataclasses.replace(again, weight=jnp.zeros_like(again.weight))
+        return (
+            jax.tree.map(stretch, records),
+            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), windows, again),
+        )
 
 
 def refine(t: np.ndarray, split: int) -> np.ndarray:
