@@ -104,11 +104,11 @@ def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velo
     )
 
 
-def substeps(vehicle: Vehicle, dt: float, speed: float = 1.0) -> int:
+def substeps(vehicle: Vehicle, dt: float, speed: float | Float[np.ndarray, "6"] = 1.0) -> int:
     """Into how many steps a hold of `dt` [s] must be cut for the explicit method.
 
-    From the largest eigenvalue of M^-1 (D_l + 2 D_q speed), `speed` in m/s and rad/s, and the
-    oscillation of the restoring moments, and from the lag of fluid memory.
+    From the largest eigenvalue of M^-1 (D_l + 2 D_q speed), `speed` in m/s and rad/s (one for all axes,
+    or one each), and the oscillation of the restoring moments, and from the lag of fluid memory.
     """
     plant = vehicle.plant()
     state = initial_state(vehicle, velocity=speed * vehicle.free)

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import InputError
 from .._types import CHANNELS, SENSORS
@@ -155,15 +156,15 @@ def _window(logs: Sequence[Log], window: float | None) -> float:
     return float(max(length, FEWEST_SAMPLES * dt))
 
 
-def _speed(logs: Sequence[Log]) -> float:
-    """The fastest that the logs go [m/s or rad/s], for the integration step."""
-    speeds = np.concatenate([log.channels[:, 6:12] for log in logs])
-    return float(np.nanmax(np.abs(speeds))) if np.isfinite(speeds).any() else 1.0
+def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
+    """The fastest that the logs go on each axis [m/s, rad/s], 1 where it was not measured."""
+    speeds = np.abs(np.concatenate([log.channels[:, 6:12] for log in logs]))
+    return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), 1.0)
 
 
 def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
     noise = noise_of(vehicle, logs)
-    split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speed(logs))
+    split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
     data = cut(vehicle, logs, noise, _window(logs, window), split=split)
     families, layout = saturate(vehicle, catalogue)
     return Workbench(vehicle, families, layout, data, noise)

@@ -76,10 +76,14 @@ class Room:
 
     @staticmethod
     def of(records: Records, windows: Windows) -> "Room":
-        """Steps rounded up to a power of two, windows by at most ten or an eighth."""
+        """Steps and windows rounded up by at most a quarter, or to 1024 and 10."""
         logs, steps = records.t.shape
-        grain = max(10, 2 ** (windows.count.bit_length() - 4))
-        return Room(logs, max(1024, 2 ** (steps - 1).bit_length()), -(-windows.count // grain) * grain)
+
+        def rounded(count: int, least: int) -> int:
+            grain = max(least, 2 ** (count.bit_length() - 3))
+            return -(-count // grain) * grain
+
+        return Room(logs, rounded(steps, 1024), rounded(windows.count, 10))
 
     def holds(self, other: "Room") -> bool:
         return self.logs >= other.logs and self.steps >= other.steps and self.windows >= other.windows
