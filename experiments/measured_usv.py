@@ -197,11 +197,7 @@ def _velocities(vehicle: jm.Vehicle, t, commands, nu, psi, restart, split: int):
         over, dt, nu, psi, restart = now
         state = jax.tree.map(lambda a, b: jnp.where(restart, a, b), measured(nu, psi), state)
 
-        def part(state, _):
-            return hold(plant, state, over, dt / split), None
-
-        after, _ = jax.lax.scan(part, state, None, length=split)
-        return after, state.velocity
+        return hold(plant, state, over, dt, split), state.velocity
 
     now = (over, step_lengths(t), nu, psi, restart)
     return jax.lax.scan(step, measured(nu[0], psi[0]), now)[1]

@@ -5,7 +5,6 @@ input as its argument: an input looked up by time inside the vector field would 
 of a step the next sample.
 """
 
-import dataclasses
 from typing import Any, ClassVar
 
 import diffrax
@@ -13,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ._types import CHANNELS, Times
 from .logs import Log
@@ -52,13 +51,19 @@ _FRESH: Any = False
 _TERM = diffrax.ODETerm(_rates)
 
 
-def hold(plant: Plant, state: State, drive: Input, dt) -> State:
-    """The state after one hold of length `dt` [s], by one step of the classical Runge-Kutta method."""
-    # "lax" keeps the stages differentiable in forward mode.
-    after, *_ = RungeKutta4(scan_kind="lax").step(
-        _TERM, drive.t, drive.t + dt, state, (plant, drive), solver_state=_FRESH, made_jump=True
-    )
-    return after
+def hold(plant: Plant, state: State, drive: Input, dt, split: int | Int[Array, ""] = 1) -> State:
+    """The state after one hold of length `dt` [s], by `split` steps of the classical Runge-Kutta method."""
+    dt = dt / split
+
+    def step(k, state):
+        t = drive.t + k * dt
+        # "lax" keeps the stages differentiable in forward mode.
+        after, *_ = RungeKutta4(scan_kind="lax").step(
+            _TERM, t, t + dt, state, (plant, drive), solver_state=_FRESH, made_jump=True
+        )
+        return after
+
+    return jax.lax.fori_loop(0, split, step, state)
 
 
 class Trajectory(eqx.Module):
@@ -152,11 +157,7 @@ def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wren
         plant = jax.tree.map(lambda a: a[index], plants)
         shown = plant.readings(state, plant.acceleration(state, at))
         if solver is None:
-
-            def part(state, t):
-                return hold(plant, state, dataclasses.replace(over, t=t), dt / split), None
-
-            after, _ = jax.lax.scan(part, state, over.t + dt * jnp.arange(split) / split)
+            after = hold(plant, state, over, dt, split)
         else:
             after = diffrax.diffeqsolve(
                 _TERM,

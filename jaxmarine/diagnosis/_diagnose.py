@@ -165,9 +165,9 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
 def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
     noise = noise_of(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
-    data = cut(vehicle, logs, noise, _window(logs, window), split=split)
+    data = cut(vehicle, logs, noise, _window(logs, window))
     families, layout = saturate(vehicle, catalogue)
-    return Workbench(vehicle, families, layout, data, noise)
+    return Workbench(vehicle, families, layout, data, noise, split)
 
 
 def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
@@ -183,8 +183,8 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
     noise = bench.noise.copy()
     rms = bench.residual_rms(model)
     noise[free] *= np.maximum(1.0, np.nan_to_num(rms[free], nan=1.0))
-    data = cut(vehicle, bench.data.logs, noise, bench.data.length, split=bench.data.split)
-    return Workbench(vehicle, bench.families, bench.layout, data, noise)
+    data = cut(vehicle, bench.data.logs, noise, bench.data.length)
+    return Workbench(vehicle, bench.families, bench.layout, data, noise, bench.split)
 
 
 # --- settling ------------------------------------------------------------------------------------
@@ -399,6 +399,6 @@ def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, 
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
     candidates = [before, final] if changed else [before]
     times, predicted, measured, begin = predictions(
-        candidates, test, bench.noise, run_in, bench.data.split, passed, bench.room
+        candidates, test, bench.noise, run_in, bench.split, passed, bench.room
     )
     return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, twin is None)

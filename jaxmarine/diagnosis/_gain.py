@@ -54,13 +54,13 @@ def predictions(
     length = run_in + HORIZON
     stride = max(log.dt, (log.duration - length) / STARTS)
     vehicle = candidates[0].vehicle
-    data = cut(vehicle, [log], noise, length, stride, split, [segment])
+    data = cut(vehicle, [log], noise, length, stride, [segment])
     own = Room.of(data.records, data.windows)
     room = room if room.holds(own) else own
     records, windows = room.filled(data.records, data.windows)
     weight = np.asarray(data.windows.weight)
     accelerations = bool((weight[..., 12:] > 0).any())
-    begin = round(run_in / length * windows.step.shape[1] / split) * split
+    begin = round(run_in / length * windows.step.shape[1])
     names = ("step", "measured", "weight")
     seen = dataclasses.replace(windows, **{name: getattr(windows, name)[:, :begin] for name in names})
     precision = jnp.asarray(start_precision(vehicle.free))
@@ -71,19 +71,19 @@ def predictions(
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
         task = Task(
-            Problem(plant, records, seen, precision, accelerations),
+            Problem(plant, records, seen, precision, accelerations, jnp.asarray(split)),
             theta,
             jnp.zeros((*theta.shape, SLOTS)),
             jnp.ones(SLOTS),
             jnp.zeros(SLOTS),
         )
         started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10)
-        problem = Problem(plant, records, windows, precision, accelerations)
+        problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
         shown = np.asarray(_predicted(problem, theta, started.delta))
-        out.append(shown[: data.windows.count, ::split])
-    times = log.t[np.asarray(data.windows.step)[:, ::split] // split]
-    measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)[:, ::split]
-    return times, out, measured, begin // split
+        out.append(shown[: data.windows.count])
+    times = log.t[np.asarray(data.windows.step)]
+    measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)
+    return times, out, measured, begin
 
 
 def _errors(predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:

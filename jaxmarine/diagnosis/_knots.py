@@ -90,7 +90,7 @@ def knots(bench: Workbench, model: Model) -> Knots:
     for i, source in enumerate(bench.data.logs):
         here = log == i
         track = smooth_states(source, bench.vehicle.dof)
-        sample = np.clip(np.round(middle[here] / bench.data.split).astype(int), 0, len(source.t) - 1)
+        sample = np.clip(np.round(middle[here]).astype(int), 0, len(source.t) - 1)
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
         if source.commands is not None:

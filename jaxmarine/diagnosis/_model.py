@@ -85,11 +85,13 @@ class Workbench:
         layout: Layout,
         data: Cut,
         noise: Float[np.ndarray, "18"],
+        split: int,
     ):
         self.vehicle = vehicle
         self.layout = layout
         self.data = data
         self.noise = noise
+        self.split = split
         self.families = families
         self.base = _base_coefficients(vehicle, layout)
         self.count = data.windows.count
@@ -143,9 +145,7 @@ class Workbench:
 
     def problem(self, members: Sequence[Member]) -> Problem:
         steps = self.data.records.t.shape[1]
-        rows = [
-            np.repeat(self.passed(members, log, i), self.data.split) for i, log in enumerate(self.data.logs)
-        ]
+        rows = [self.passed(members, log, i) for i, log in enumerate(self.data.logs)]
         rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
         records = dataclasses.replace(self.data.records, segment=jnp.asarray(np.array(rows)))
         records, windows = self.room.filled(records, self.data.windows)
@@ -156,6 +156,7 @@ class Workbench:
             windows,
             jnp.asarray(start_precision(self.vehicle.free)),
             self.accelerations,
+            jnp.asarray(self.split),
         )
 
     def _precision(self, model: Model) -> np.ndarray:

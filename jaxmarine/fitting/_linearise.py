@@ -23,7 +23,7 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..physics import Drive, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
 from ..simulation import hold
@@ -47,6 +47,7 @@ class Problem(eqx.Module):
     - `theta`: reference parameters of each segment; `spread`: the affine map, theta + spread @ z.
     - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
     - `accelerations`: whether any are measured.
+    - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
     """
 
     plant_of: PlantOf
@@ -54,6 +55,7 @@ class Problem(eqx.Module):
     windows: Windows
     start_precision: Float[Array, "12"]
     accelerations: bool = eqx.field(static=True)
+    split: int | Int[Array, ""] = 1
 
 
 def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
@@ -206,7 +208,7 @@ def _tracks(problem: Problem, push: Thrust, lagged) -> _Track:
     )
 
 
-def _roll(plants: Plant, track: _Track, start: State, follow: bool):
+def _roll(problem: Problem, plants: Plant, track: _Track, start: State, follow: bool):
     """States at all steps of one window, the first included, and at the ends of all holds.
 
     `follow`: the fluid memory at the start of each hold is that of the track (filtered from measured
@@ -216,7 +218,7 @@ def _roll(plants: Plant, track: _Track, start: State, follow: bool):
     def step(state, now):
         if follow:
             state = eqx.tree_at(lambda s: s.memory, state, now.lagged)
-        after = hold(_pick(plants, now.segment), state, now.over, now.dt)
+        after = hold(_pick(plants, now.segment), state, now.over, now.dt, problem.split)
         return after, (state, after)
 
     return jax.lax.scan(step, start, track)[1]
@@ -229,7 +231,7 @@ def predict(problem: Problem, theta, delta):
     tracks = _tracks(problem, _drives(problem, plants.drive), lagged)
 
     def one(windows, track, delta):
-        states, _ = _roll(plants, track, _start(windows, delta, track.lagged[0]), follow=False)
+        states, _ = _roll(problem, plants, track, _start(windows, delta, track.lagged[0]), follow=False)
 
         def show(state, drive, segment):
             plant = _pick(plants, segment)
@@ -241,16 +243,20 @@ def predict(problem: Problem, theta, delta):
     return channels, _wrapped(channels - problem.windows.measured) * problem.windows.weight
 
 
-def _exponential(f: Array) -> tuple[Array, Array]:
-    """exp(f) and phi1(f) = (exp(f) - 1) / f by their Taylor series to the sixth order.
+def _exponential(f: Array, split) -> tuple[Array, Array]:
+    """exp(f) and phi1(f) = (exp(f) - 1) / f by their Taylor series to the sixth order, and doubling.
 
-    The integration step keeps |f| below 0.8 (`simulation.substeps`), where the remainder is below 1e-4.
+    The integration step keeps |f / split| below 0.8 (`simulation.substeps`), where the remainder is below
+    1e-4; from there it is doubled until the whole of f is reached.
     """
     eye = jnp.broadcast_to(jnp.eye(f.shape[-1]), f.shape)
+    doublings = jnp.ceil(jnp.log2(split)).astype(int)
+    f = f / 2.0**doublings
     phi = eye
     for order in range(6, 1, -1):
         phi = eye + f @ phi / order
-    return eye + f @ phi, phi
+    exp = eye + f @ phi
+    return jax.lax.fori_loop(0, doublings, lambda _, e: (e[0] @ e[0], 0.5 * (e[0] @ e[1] + e[1])), (exp, phi))
 
 
 class _Chain(eqx.Module):
@@ -332,7 +338,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         """A and B of every step of a window, from the point in its middle."""
         dt = dt[:, None, None]
         f = jnp.concatenate([jax.vmap(jax.jacfwd(kinematics))(x), nu_x], axis=1)
-        exp, phi = _exponential(dt * f)
+        exp, phi = _exponential(dt * f, problem.split)
         return exp, dt * (phi[:, :, 7:] @ nu_z)
 
     def shown(x, nu_dot, sensors, segment):
@@ -360,13 +366,15 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
         def start(delta):
             return _flat(_start(windows, delta, track.lagged[0]))
 
-        states, after = _roll(plants, track, _start(windows, delta, track.lagged[0]), follow=True)
+        states, after = _roll(problem, plants, track, _start(windows, delta, track.lagged[0]), follow=True)
         x, x_after = jax.vmap(_flat)(states), jax.vmap(_flat)(after)
-        # Middle of the step from its ends and its first slope (third order in dt).
+        # Middle of the step from its ends and its first slope (third order in dt); the slope of a stiff
+        # vehicle says nothing of the middle.
         rate = jax.vmap(lambda s, d, i: _flat(_pick(plants, i).rates(s, d)))(
             states, track.over, track.segment
         )
-        middle = 0.75 * x + 0.25 * x_after + 0.25 * track.dt[:, None] * rate
+        bend = jnp.where(jnp.asarray(problem.split) == 1, 0.25, 0.0)
+        middle = 0.5 * (x + x_after) + bend * (x - x_after + track.dt[:, None] * rate)
         d_lagged = (
             d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag[None]
             if d_slow.shape[-1]

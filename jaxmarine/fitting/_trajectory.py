@@ -58,9 +58,9 @@ def fit_trajectory(
     dt = float(np.median([log.dt for log in logs]))
     split, steps = substeps(vehicle, dt), 0
     z, best = np.zeros(len(units.precision)), None
+    data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     while True:
-        data = cut(vehicle, logs, noise, window, split=split, segments=acting.of_samples)
-        task = _task(freed, units, data, acting)
+        task = _task(freed, units, data, acting, split)
         nothing = jnp.zeros((data.windows.count, 12))
         refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
         steps += int(refined.steps)
@@ -75,7 +75,7 @@ def fit_trajectory(
         split, z, best = needed, now.z, now
 
 
-def _task(freed: Freed, units: Units, data: Cut, acting: Segments) -> Task:
+def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int) -> Task:
     vehicle, count = freed.vehicle, len(acting.gates)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
@@ -83,6 +83,7 @@ def _task(freed: Freed, units: Units, data: Cut, acting: Segments) -> Task:
         data.windows,
         jnp.asarray(start_precision(vehicle.free)),
         bool((np.asarray(data.windows.weight)[..., 12:] > 0).any()),
+        jnp.asarray(split),
     )
     return Task(
         problem,

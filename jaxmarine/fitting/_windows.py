@@ -21,7 +21,6 @@ ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
 class Records(eqx.Module):
     """The whole logs on one time grid each, padded at the end to a common length.
 
-    The grid may be finer than the samples (`split` steps per sample) where the vehicle is stiff.
     `velocity` is the smoothed body velocity, from which lagged states at a window's start come.
     """
 
@@ -62,7 +61,6 @@ class Cut:
     records: Records
     windows: Windows
     starts: np.ndarray  # time at which each window starts [s, its log's own time]
-    split: int
     length: float  # of a window [s]
 
 
@@ -108,19 +106,12 @@ class Room:
         )
 
 
-def refine(t: np.ndarray, split: int) -> np.ndarray:
-    """Times with `split` - 1 more between each two samples, and after the last one."""
-    dt = np.diff(t, append=2 * t[-1] - t[-2])
-    return (t[:, None] + dt[:, None] * np.arange(split) / split).ravel()
-
-
 def cut(
     vehicle: Vehicle,
     logs: Sequence[Log],
     noise: Float[np.ndarray, "18"],
     length: float,
     stride: float | None = None,
-    split: int = 1,
     segments: Sequence[np.ndarray] | None = None,
 ) -> Cut:
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
@@ -128,7 +119,7 @@ def cut(
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
     """
-    longest = max(len(log.t) for log in logs) * split
+    longest = max(len(log.t) for log in logs)
     count = len(vehicle.thruster_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "velocity", "segment")}
     parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
@@ -140,7 +131,7 @@ def cut(
 
     for g, log in enumerate(logs):
         track = smooth_states(log, vehicle.dof)
-        t = refine(log.t, split)
+        t = log.t
         short = longest - len(t)
         steps = np.diff(t, append=2 * t[-1] - t[-2])
 
@@ -153,10 +144,10 @@ def cut(
         segment = np.zeros(len(log.t), int) if segments is None else segments[g]
         records["t"].append(np.concatenate([t, tail]))
         records["dt"].append(pad(steps))
-        records["commands"].append(pad(np.repeat(np.asarray(commands), split, axis=0)))
-        records["wrench"].append(pad(np.repeat(np.asarray(wrench), split, axis=0)))
-        records["velocity"].append(pad(np.repeat(track.nu, split, axis=0)))
-        records["segment"].append(pad(np.repeat(segment, split)))
+        records["commands"].append(pad(np.asarray(commands)))
+        records["wrench"].append(pad(np.asarray(wrench)))
+        records["velocity"].append(pad(track.nu))
+        records["segment"].append(pad(segment))
 
         usable = np.isfinite(log.channels) & np.isfinite(noise) & free
         weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
@@ -166,13 +157,10 @@ def cut(
         measured = np.where(usable, log.channels, 0.0)
         for first in range(0, len(log.t) - size + 1, jump):
             here = slice(first, first + size)
-            fine = np.zeros((2, size * split, len(CHANNELS)))
-            fine[0, ::split] = measured[here]
-            fine[1, ::split] = weight[here]
             parts["log"].append(g)
-            parts["step"].append(np.arange(first * split, (first + size) * split))
-            parts["measured"].append(fine[0])
-            parts["weight"].append(fine[1])
+            parts["step"].append(np.arange(first, first + size))
+            parts["measured"].append(measured[here])
+            parts["weight"].append(weight[here])
             parts["position"].append(track.position[first])
             parts["attitude"].append(track.attitude[first])
             parts["velocity"].append(track.nu[first])
@@ -189,6 +177,5 @@ def cut(
             **{name: jnp.asarray(np.array(value)) for name, value in parts.items()},
         ),
         starts=np.array(starts),
-        split=split,
         length=length,
     )
