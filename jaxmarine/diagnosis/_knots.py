@@ -53,7 +53,7 @@ class Knots:
         """Statistics of z and of wrenches with the given values at the knots."""
         n = self.width
         windows = len(self.t)
-        flat = values.reshape(windows, -1, values.shape[-1])
+        flat = values.reshape(windows, values.shape[1] * 6, values.shape[-1])
         g, h = self.stats.g, self.stats.h
         h_zk = np.einsum("wzk,wkf->wzf", h[:, :n, n:], flat, optimize=True)
         h_kk = np.einsum("wkf,wkl,wlm->wfm", flat, h[:, n:, n:], flat, optimize=True)

@@ -89,7 +89,7 @@ class Room:
     def filled(self, records: Records, windows: Windows) -> tuple[Records, Windows]:
         """The arrays filled up with logs that no window looks at and windows that weigh nothing."""
         logs, steps = records.t.shape
-        after = records.t[:, -1:] + records.dt[:, -1:] * jnp.arange(1, self.steps - steps + 1)
+        after = records.t[:, -1:] + records.dt[:, -1:] * jnp.arange(1, self.steps - steps + 1)[None]
 
         def stretch(a):
             """More rows, and more steps, like the last ones."""
