@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 
 from ._model import Member, Model, Workbench
-from ._score import solve
-from ._search import needed
+from ._score import solve, t_value
+from ._search import SIGMAS, needed, putting_back
 
 # More coefficients than this being off means a file that is a little wrong everywhere.
 FEW = 2
 
 
-def _needed_changes(bench: Workbench, model: Model) -> list[int]:
+def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
     """Coefficients that must leave their file value, one after another, the most urgent first.
 
     Forward selection on the linearised chi-square without any prior; the members stay free throughout.
@@ -39,19 +39,19 @@ def _needed_changes(bench: Workbench, model: Model) -> list[int]:
         now = least([*members, *chosen])
         gains = {j: now - least([*members, *chosen, j]) for j in open_}
         best = max(gains, key=lambda j: gains[j])
-        if gains[best] < needed(bench, Member(suspects[bench.base[best].label]), 1.0):
+        if gains[best] < needed(bench, Member(suspects[bench.base[best].label]), phi):
             break
         chosen.append(best)
         open_.remove(best)
     return chosen
 
 
-def settle(bench: Workbench, model: Model) -> tuple[Model, bool]:
+def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool]:
     """The model with its few wrong coefficients as members and all others at the file's value.
 
     Or, where many have moved together, the model as it is: a recalibrated file. Returns which.
     """
-    chosen = _needed_changes(bench, model)
+    chosen = _needed_changes(bench, model, phi)
     suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
     if len(chosen) > FEW:
         return model, True
@@ -60,4 +60,10 @@ def settle(bench: Workbench, model: Model) -> tuple[Model, bool]:
     for j in chosen:
         frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), z[j : j + 1])
     frozen.z[: len(bench.base)] = 0.0
-    return bench.refine(frozen), False
+    frozen = bench.refine(frozen)
+    for i in reversed(range(len(model.members), len(frozen.members))):
+        lost = putting_back(bench, frozen, bench.screen(frozen), bench.slices(frozen.members)[i])
+        if t_value(lost) < SIGMAS:
+            # A few windows pulled it there.
+            frozen = bench.refine(bench.without_member(frozen, i))
+    return frozen, False

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import CHANNELS, SENSORS
+from .._types import CHANNELS, RATE, SENSORS, VELOCITY
 from ..effects import CATALOGUE, AbstractEffect, place
 from ..fitting import cut, noise_of
-from ..logs import Log
-from ..simulation import substeps
+from ..logs import Log, smooth_states
+from ..simulation import initial_state, simulate, substeps
 from ..vehicle import Damping, Placed, Vehicle
 from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
@@ -21,15 +21,16 @@ from ._model import Beginning, Member, Model, Workbench
 from ._result import Alternative, Diagnosis, Finding, Parameter, Recalibrated, Verdict, Weighed
 from ._saturated import saturate
 from ._score import Reduced, solve
-from ._search import Round, dispersion, needed, penalty, search
-from ._unknown import Dependence, cost_of_removal, dependences
+from ._search import Round, dispersion, needed, penalty, putting_back, search
+from ._unknown import Dependence, Signals, cost_of_removal, dependences
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
 FEWEST_WINDOWS = 16
 SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
-# A member whose removal costs less than this share beside the unknown dependences only stood in for them.
+# A member whose removal costs less than this share beside the unknown dependences only stood in for them;
+# all of them did where an unknown dependence alone leaves less than this share of what they leave.
 STAND_IN = 0.35
 # Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
 CLOSE = 6.0
@@ -73,7 +74,8 @@ def diagnose(
     found = search(bench, base, progress)
     model, rounds = found.model, found.rounds
     progress("settling what was found")
-    model, dense = settle(bench, _pruned(bench, model))
+    phi = dispersion(bench, model, found.stats)
+    model, dense = settle(bench, _pruned(bench, model, phi), phi)
     model = _beginnings_refined(bench, model)
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
@@ -81,7 +83,7 @@ def diagnose(
     k = knots(bench, model)
     while not _is_white(bench, stats, phi):
         progress("looking for what the residual depends on")
-        unknown = dependences(k, phi)
+        unknown = dependences(k, phi, _undisturbed(bench, _extended(bench, model, dense), k))
         spurious = _stand_in(bench, model, k, unknown)
         if spurious is None:
             break
@@ -90,6 +92,15 @@ def diagnose(
         phi = dispersion(bench, model, stats)
         k = knots(bench, model)
         unknown = ()
+    start = bench.refine(bench.frozen(bench.start()))
+    if model.members and not _is_white(bench, stats, phi):
+        alone = _unknown_alone(bench, start)
+        if _left_over(bench, start, alone) < STAND_IN * _left_over(bench, model, unknown):
+            # Nothing that was named is the cause: it only took the shape of what is unknown.
+            model, unknown, dense = start, alone, False
+            stats = bench.screen(model)
+            phi = dispersion(bench, model, stats)
+            k = knots(bench, model)
     white = _is_white(bench, stats, phi)
 
     extended = _extended(bench, model, dense)
@@ -105,7 +116,6 @@ def diagnose(
     findings = _findings(bench, model, stats, phi, rounds) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / phi) for one in unknown
     )
-    start = bench.refine(bench.frozen(bench.start()))
     if dense:
         notes.append(
             "Many coefficients of the file are off together; they were refitted and stand as recalibrated."
@@ -190,12 +200,12 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
 # --- settling ------------------------------------------------------------------------------------
 
 
-def _pruned(bench: Workbench, model: Model) -> Model:
+def _pruned(bench: Workbench, model: Model, phi: float) -> Model:
     """The model without members that are not needed beside those found later."""
     i = 0
     while len(model.members) > 1 and i < len(model.members):
         less = bench.refine(bench.without_member(model, i))
-        if 2 * (less.cost - model.cost) < needed(bench, model.members[i], 1.0):
+        if 2 * (less.cost - model.cost) < needed(bench, model.members[i], phi):
             model, i = less, 0
         else:
             i += 1
@@ -230,6 +240,38 @@ def _is_white(bench: Workbench, stats: Reduced, phi: float) -> bool:
     per_sample = stats.chi2.sum() / bench.samples
     size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
     return bool(per_sample < size and phi < 1.6)
+
+
+def _undisturbed(bench: Workbench, vehicle: Vehicle, k: Knots) -> Signals | None:
+    """Velocities at the knots as simulated from the commands over whole logs, None where that fails."""
+    out = np.zeros((*k.t.shape, 6))
+    logs = bench.data.logs
+    for i, log in enumerate(logs):
+        track = smooth_states(log, vehicle.dof)
+        start = initial_state(vehicle, track.position[0], track.attitude[0], track.nu[0])
+        later = {other.name for other in logs[i + 1 :]}
+        begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
+        run = simulate(dataclasses.replace(vehicle, placed=begun), log, start)
+        here = k.log == i
+        nu = np.asarray(run.states.velocity)
+        for axis in range(6):
+            out[here, :, axis] = np.interp(k.t[here], log.t, nu[:, axis])
+    names = (*VELOCITY, *RATE)
+    return {name: out[..., i] for i, name in enumerate(names)} if np.isfinite(out).all() else None
+
+
+def _unknown_alone(bench: Workbench, start: Model) -> tuple[Dependence, ...]:
+    """What the residual of the file as it is depends on."""
+    k = knots(bench, start)
+    phi = dispersion(bench, start, bench.screen(start))
+    return dependences(k, phi, _undisturbed(bench, bench.vehicle, k))
+
+
+def _left_over(bench: Workbench, model: Model, unknown: tuple[Dependence, ...]) -> float:
+    """Chi-square beyond the noise that a model and unknown dependences leave; infinite without any."""
+    if not unknown and not model.members:
+        return np.inf
+    return max(2 * model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
 
 
 def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]) -> int | None:
@@ -303,6 +345,9 @@ def _findings(
         }
         without = bench.refine(bench.without_member(model, i))
         saved = 2 * (without.cost - model.cost)
+        if not np.isfinite(saved):
+            # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
+            saved = float(putting_back(bench, model, stats, where).sum())
         evidence = 0.5 * (saved / phi - penalty(bench, member))
         since = member.since
         out.append(

@@ -23,6 +23,11 @@ def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:
     return (np.linalg.solve(scaled + ridge, (g.T / scale).T).T / scale).T
 
 
+def t_value(per_window: Float[np.ndarray, " windows"]) -> float:
+    """A sum over windows in standard errors of it."""
+    return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
+
+
 def blocks(windows: int, count: int = 6, size: int = 3) -> np.ndarray:
     """The fold of each window: stretches of `size` windows dealt out to the folds in turn.
 
@@ -31,39 +36,6 @@ def blocks(windows: int, count: int = 6, size: int = 3) -> np.ndarray:
     """
     size = max(1, min(size, windows // (2 * count)))
     return np.arange(windows) // size % min(count, windows)
-
-
-def left_out_savings(
-    stats: Reduced, precision: np.ndarray, offset: np.ndarray, own: np.ndarray
-) -> Float[np.ndarray, " windows"]:
-    """Chi-square that the last columns save on each window when fitted on the others.
-
-    - `stats`: columns of what is known, then of what is judged; `precision`, `offset`: prior of the known
-      ones (inverse variance, and value minus mean); `own`: prior precision of the judged ones.
-
-    Neighbours on both sides of a left-out stretch are kept out of the fit too, because windows that touch
-    share disturbances.
-    """
-    n = len(precision)
-    prior = np.diag(np.concatenate([precision, own]))
-    pull = np.concatenate([precision * offset, np.zeros(len(own))])
-    fold = blocks(len(stats.g))
-    g_all, h_all = stats.g.sum(0), stats.h.sum(0)
-    out = np.zeros(len(stats.g))
-    for b in np.unique(fold):
-        left = fold == b
-        near = np.convolve(left, [1, 1, 1], "same") > 0
-        h_fit = h_all - stats.h[near].sum(0) + prior
-        g_fit = g_all - stats.g[near].sum(0) + pull
-        full = -solve(h_fit, g_fit)
-        without = np.zeros(len(full))
-        without[:n] = -solve(h_fit[:n, :n], g_fit[:n])
-        for step, sign in ((full, -1.0), (without, 1.0)):
-            change = 2 * stats.g[left] @ step + np.einsum(
-                "wab,a,b->w", stats.h[left], step, step, optimize=True
-            )
-            out[left] += sign * change
-    return out
 
 
 def savings(

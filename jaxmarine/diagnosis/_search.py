@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, solve
+from ._score import Reduced, savings, solve, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 5
@@ -159,8 +159,7 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
         lost = putting_back(bench, trial.model, after, bench.slices(trial.model.members)[-1])
     else:
         lost = before.chi2 - after.chi2
-    t = lost.sum() / max(np.sqrt(len(lost)) * lost.std(ddof=1), 1e-9)
-    return bool(trial.saved > needed(bench, trial.member, phi) and t > SIGMAS)
+    return bool(trial.saved > needed(bench, trial.member, phi) and t_value(lost) > SIGMAS)
 
 
 def search(

@@ -1,4 +1,8 @@
-"""On which signals a residual depends that no known effect explains."""
+"""On which signals a residual depends that no known effect explains.
+
+The missing wrench at the knots is regressed on shapes of the signals, one axis at a time. What a
+dependence is worth is the chi-square that it saves on windows that were left out of its regression.
+"""
 
 import dataclasses
 import itertools
@@ -6,16 +10,23 @@ import itertools
 import numpy as np
 from jaxtyping import Float
 
-from .._types import ATTITUDE, DOFS, POSITION
+from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
-from ._score import left_out_savings, solve
+from ._score import blocks, solve, t_value
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
-SIGMAS = 2.5
+SIGMAS = 3.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Harmonics of a heading (or of another angle that turns through more than 2 rad).
+# Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range.
 HARMONICS = 6
+BUMPS = 16
+# Pull to zero of a regressor's coefficient, relative to what the data say of it.
+RIDGE = 1e-3
+# Signals that are tried in pairs with all others.
+LEADING = 4
+
+Signals = dict[str, Float[np.ndarray, "windows knots"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +35,7 @@ class Dependence:
 
     - `saved`: chi-square saved on left-out windows; `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
-    - `features`: the regressors' values at the knots.
+    - `features`: the regressors' values at the knots; `wrench`: on the axis, as regressed on other windows.
     """
 
     axis: int
@@ -32,6 +43,7 @@ class Dependence:
     tied: tuple[str, ...]
     saved: float
     features: Float[np.ndarray, "windows knots features"]
+    wrench: Float[np.ndarray, "windows knots"]
 
     @property
     def dof(self) -> str:
@@ -39,25 +51,27 @@ class Dependence:
 
 
 def _single(name: str, values: np.ndarray) -> np.ndarray:
-    """Shapes of one signal: harmonics of an angle that turns; else x, x², x³ and |x| x.
+    """Shapes of one signal.
 
-    x is the signal over its largest size; depth, time and small angles are centred first, the others have
-    a zero of their own.
+    Harmonics of an angle that turns; bumps over the range of a place, of the time and of a small angle;
+    x, x², x³ and |x| x of all that has a zero of its own.
     """
     if name in ATTITUDE and np.ptp(values) > 2.0:
         turns = np.arange(1, HARMONICS + 1) * values[..., None]
         return np.concatenate([np.sin(turns), np.cos(turns)], axis=-1)
     if name in (*POSITION, "t", *ATTITUDE):
         low, high = np.quantile(values, [0.005, 0.995])
-        values = values - 0.5 * (low + high)
+        x = (np.clip(values, low, high) - low) / max(high - low, 1e-12) * (BUMPS - 1)
+        bumps = np.exp(-0.5 * (x[..., None] - np.arange(BUMPS)) ** 2)
+        return np.concatenate([x[..., None] / BUMPS - 0.5, (x[..., None] / BUMPS - 0.5) ** 2, bumps], axis=-1)
     x = np.clip(values / max(float(np.quantile(np.abs(values), 0.99)), 1e-12), -1.5, 1.5)
     return np.stack([x, x**2, x**3, np.abs(x) * x], axis=-1)
 
 
-def features(names: tuple[str, ...], signals: dict[str, np.ndarray]) -> np.ndarray:
+def features(names: tuple[str, ...], signals: Signals) -> np.ndarray:
     """Shapes of each signal, and for every pair the products of harmonics, or of their first two shapes."""
     singles = [_single(name, signals[name]) for name in names]
-    heads = [shapes if shapes.shape[-1] > 4 else shapes[..., :2] for shapes in singles]
+    heads = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :2] for shapes in singles]
     products = [
         (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
         for a, b in itertools.combinations(heads, 2)
@@ -65,33 +79,60 @@ def features(names: tuple[str, ...], signals: dict[str, np.ndarray]) -> np.ndarr
     return np.concatenate([*singles, *products], axis=-1)
 
 
+def _left_out(
+    y: Float[np.ndarray, "windows knots"],
+    weight: Float[np.ndarray, "windows knots"],
+    values: Float[np.ndarray, "windows knots features"],
+) -> Float[np.ndarray, "windows knots"]:
+    """The response in each window by a ridge regression on the others, neighbours left out as well."""
+    total = weight.sum()
+    centre = np.einsum("wk,wkf->f", weight, values) / total
+    spread = np.sqrt(np.einsum("wk,wkf->f", weight, (values - centre) ** 2) / total)
+    x = np.concatenate([(values - centre) / np.maximum(spread, 1e-9), np.ones((*y.shape, 1))], axis=-1)
+    weighted = x * weight[..., None]
+    grams = np.einsum("wkf,wkg->wfg", weighted, x, optimize=True)
+    sums = np.einsum("wkf,wk->wf", weighted, y)
+    pull = RIDGE * total * np.diag([*np.ones(x.shape[-1] - 1), 0.0])
+    fold = blocks(len(y))
+    out = np.zeros_like(y)
+    for b in np.unique(fold):
+        left = fold == b
+        rest = np.convolve(left, [1, 1, 1], "same") == 0
+        out[left] = x[left] @ np.linalg.solve(grams[rest].sum(0) + pull, sums[rest].sum(0))
+    return out
+
+
 class _Ledger:
-    """Savings on left-out windows beside what is known already (z, constants, dependences found)."""
+    """What dependences save on left-out windows beside those found already and a constant."""
 
     def __init__(self, k: Knots):
         self.k = k
-        self.known = np.zeros((*k.t.shape, 6, 0))
-        self.ridge = np.zeros(0)
-        # The missing wrench's own size, generously, is the prior width of every regressor.
-        self.size = 3.0 * np.nanstd(missing_wrench(k).wrench, axis=0)
-        for axis in np.flatnonzero(k.free):
-            self.add(int(axis), np.ones((*k.t.shape, 1)))
+        shape = (*k.t.shape, 6)
+        missing = missing_wrench(k)
+        self.y = np.nan_to_num(missing.wrench.reshape(shape))
+        variance = np.nan_to_num(missing.std.reshape(shape), nan=1.0) ** 2
+        # A knot that its window hardly determines counts little, one that it knows well not without limit.
+        self.weight = 1.0 / (variance + np.median(variance, axis=(0, 1)))
+        self.known = np.zeros(shape)
+        n = k.width
+        self.g, self.h = k.stats.g[:, n:], k.stats.h[:, n:, n:]
 
-    def add(self, axis: int, values: np.ndarray) -> None:
-        self.known = np.concatenate([self.known, on_axis(axis, values)], axis=-1)
-        self.ridge = np.concatenate([self.ridge, np.full(values.shape[2], self.size[axis] ** -2.0)])
+    def chi2(self, axis: int, wrench: np.ndarray) -> Float[np.ndarray, " windows"]:
+        """Change of each window's chi-square by a wrench on an axis and those found already."""
+        push = (self.known + on_axis(axis, wrench[..., None])[..., 0]).reshape(len(wrench), -1)
+        bend = np.einsum("wa,wab,wb->w", push, self.h, push, optimize=True)
+        return 2 * np.einsum("wa,wa->w", self.g, push) + bend
+
+    def wrench(self, axis: int, values: np.ndarray) -> Float[np.ndarray, "windows knots"]:
+        return _left_out(self.y[..., axis], self.weight[..., axis], values)
 
     def saved(self, axis: int, values: np.ndarray) -> Float[np.ndarray, " windows"]:
-        """Chi-square saved on each window by regressors fitted on the others."""
-        stats = self.k.wrench(np.concatenate([self.known, on_axis(axis, values)], axis=-1))
-        precision = np.concatenate([self.k.precision, self.ridge])
-        offset = np.concatenate([self.k.offset, np.zeros(len(self.ridge))])
-        own = np.full(values.shape[2], self.size[axis] ** -2.0)
-        return left_out_savings(stats, precision, offset, own)
+        """Chi-square saved on each window, beyond a constant, by regressors fitted on the others."""
+        constant = self.wrench(axis, values[..., :0])
+        return self.chi2(axis, constant) - self.chi2(axis, self.wrench(axis, values))
 
-
-def _t(per_window: np.ndarray) -> float:
-    return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
+    def add(self, axis: int, wrench: np.ndarray) -> None:
+        self.known[..., axis] += wrench
 
 
 def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
@@ -106,6 +147,8 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
     gain = singles[order[0]]
     best_pair, best = chosen, gain
     for pair in itertools.combinations(order, 2):
+        if pair[0] not in order[:LEADING]:
+            continue
         now = saved(pair)
         if now.sum() > best.sum():
             best_pair, best = pair, now
@@ -122,39 +165,57 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         for i in range(len(chosen)):
             other = tuple(name if j == i else kept for j, kept in enumerate(chosen))
             now = singles[name] if len(chosen) == 1 else saved(other)
-            if _t(gain - now) < 2.0 and now.sum() > 0.8 * gain.sum():
+            if t_value(gain - now) < 2.0 and now.sum() > 0.8 * gain.sum():
                 tied.append(name)
                 break
     return chosen, gain, tuple(tied)
 
 
 def _better(new: np.ndarray, old: np.ndarray) -> bool:
-    return bool(new.sum() > (1 + SHARE) * max(old.sum(), 0.0) and _t(new - old) > 2.0)
+    return bool(new.sum() > (1 + SHARE) * max(old.sum(), 0.0) and t_value(new - old) > 2.0)
 
 
-def dependences(k: Knots, phi: float, smallest: float = 0.02) -> tuple[Dependence, ...]:
+def dependences(
+    k: Knots, phi: float, undisturbed: Signals | None = None, smallest: float = 0.02
+) -> tuple[Dependence, ...]:
     """Axes with a missing wrench that depends on signals, the strongest first.
 
     - `phi`: dispersion of the scores (`_search.dispersion`); `smallest`: share of the strongest saving
       that another axis must have, since a strong missing force reaches others through the coupled mass.
+    - `undisturbed`: velocities as the commands alone give them. A disturbance moves the craft, so the
+      measured velocity goes with it without being its cause; these do not. They are the instruments of
+      an instrumental-variable regression (Young 2011): where they save nothing, nothing depends.
     """
     ledger = _Ledger(k)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
+    enough = 2 * phi * np.log(len(k.signals) ** 2 * len(left)) + 10.0
     while left:
         trials = {axis: _best_signals(ledger, axis) for axis in left}
         axis = max(trials, key=lambda a: trials[a][1].sum())
         names, gain, tied = trials[axis]
-        enough = 2 * phi * np.log(len(k.signals) ** 2 * len(left)) + 10.0
-        if gain.sum() < enough or _t(gain) < SIGMAS:
+        if gain.sum() < enough:
             break
         if found and gain.sum() < smallest * found[0].saved:
             break
-        values = features(names, k.signals)
-        found.append(Dependence(axis, names, tied, float(gain.sum()), values))
-        ledger.add(axis, values)
         left.remove(axis)
+        if t_value(gain) < SIGMAS or not _causal(ledger, axis, names, gain, undisturbed):
+            continue
+        values = features(names, k.signals)
+        wrench = ledger.wrench(axis, values)
+        found.append(Dependence(axis, names, tied, float(gain.sum()), values, wrench))
+        ledger.add(axis, wrench)
     return tuple(found)
+
+
+def _causal(
+    ledger: _Ledger, axis: int, names: tuple[str, ...], gain: np.ndarray, undisturbed: Signals | None
+) -> bool:
+    """Whether a dependence also shows on velocities that no disturbance has moved."""
+    if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
+        return True
+    saved = ledger.saved(axis, features(names, ledger.k.signals | undisturbed))
+    return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 
 def cost_of_removal(

@@ -85,6 +85,7 @@ def fit(
     free: Select,
     *,
     loss: Literal["trajectory", "one_step"] = "trajectory",
+    starts: Literal["estimated", "measured"] = "estimated",
     prior: float | PyTree | None = None,
     entries: Selection = "all",
     dissipative: bool = False,
@@ -104,6 +105,9 @@ def fit(
     - `loss`: "trajectory" compares all measured channels over windows and is consistent under
       sensor noise; "one_step" compares accelerations at each sample and is biased by noise in the
       velocities.
+    - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
+      sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
+      smoothed log, which is what a prediction from there has.
     - `prior`: width relative to the start values (of an inertia: to the total mass), or standard
       deviations in the structure of `free(vehicle)`, where 0 holds an entry and inf means none.
       A learned network needs one, as its weights are never all determined.
@@ -124,11 +128,18 @@ def fit(
         )
     if loss not in ("trajectory", "one_step"):
         raise ValueError(f"Argument `loss` must be trajectory or one_step, but is {loss!r}.")
+    if starts not in ("estimated", "measured") or (starts == "measured" and loss == "one_step"):
+        raise ValueError(
+            f"Argument `starts` must be estimated, or measured with the trajectory loss, but is {starts!r}."
+        )
     noise = noise_of(vehicle, logs) if noise is None else noise
     freed, scales = set_free(vehicle, free, prior, entries, dissipative)
     z_units = units(freed, scales)
-    solve = fit_trajectory if loss == "trajectory" else fit_one_step
-    estimate = solve(freed, z_units, logs, noise, window, max_steps)
+    if loss == "trajectory":
+        held = starts == "measured"
+        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held)
+    else:
+        estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
     estimate = _judged(estimate, z_units)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")

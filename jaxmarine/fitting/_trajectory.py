@@ -51,8 +51,9 @@ def fit_trajectory(
     noise: Float[np.ndarray, "18"],
     window: float,
     max_steps: int,
+    held: bool = False,
 ) -> Estimate:
-    """Minimises the chi-square of the windows over z and all initial states."""
+    """Minimises the chi-square of the windows over z and all initial states, unless those are held."""
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
     dt = float(np.median([log.dt for log in logs]))
@@ -60,7 +61,7 @@ def fit_trajectory(
     z, best = np.zeros(len(units.precision)), None
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     while True:
-        task = _task(freed, units, data, acting, split)
+        task = _task(freed, units, data, acting, split, held)
         nothing = jnp.zeros((data.windows.count, 12))
         refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
         steps += int(refined.steps)
@@ -75,13 +76,13 @@ def fit_trajectory(
         split, z, best = needed, now.z, now
 
 
-def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int) -> Task:
+def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
     vehicle, count = freed.vehicle, len(acting.gates)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
         data.records,
         data.windows,
-        jnp.asarray(start_precision(vehicle.free)),
+        jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free)),
         bool((np.asarray(data.windows.weight)[..., 12:] > 0).any()),
         jnp.asarray(split),
     )
