@@ -168,16 +168,16 @@ def fitted(start: jm.Vehicle, runs: Sequence[jm.Log], candidate: Candidate, step
     The trajectories start as measured. With starts that are estimated the loss prefers a boat that is
     unstable in yaw, whose every window is saved by its own start.
     """
-    prior = candidate.prior()
+    near = dataclasses.replace(candidate, width=1.0).prior()
     rough = jm.fit(
-        start, runs, selected, loss="one_step", prior=prior, window=WINDOW, noise=noise(), throw=False
+        start, runs, selected, loss="one_step", prior=near, window=WINDOW, noise=noise(), throw=False
     )
     return jm.fit(
         rough.vehicle,
         runs,
         selected,
         starts="measured",
-        prior=prior,
+        prior=candidate.prior(),
         window=WINDOW,
         max_steps=steps,
         noise=noise(),

@@ -217,6 +217,22 @@ class Workbench:
         out = self.refine(model, max_steps=1).refined
         return np.inf if out is None else float(out.cost - out.promised)
 
+    def sound(self, model: Model) -> bool:
+        """Whether all numbers mean something: no negative delays, lags, widths or time constants."""
+        for member, where in zip(model.members, self.slices(model.members), strict=True):
+            suspect = self.layout.suspects[member.suspect]
+            values = self.layout.neutral_of(member.suspect) + model.z[where]
+            for name, value in zip(suspect.slots, values, strict=True):
+                if value < suspect.effect.least.get(name, -np.inf):
+                    return False
+        plant = self.problem(model.members).plant_of
+        drives = [
+            plant(jnp.asarray(theta), jnp.asarray(0)).drive for theta in np.unique(self.theta(model), axis=0)
+        ]
+        return all(
+            float(jnp.min(jnp.stack([d.delay, d.deadband, d.lag, d.saturation]))) >= -1e-9 for d in drives
+        )
+
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
         return dataclasses.replace(

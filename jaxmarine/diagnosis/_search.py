@@ -178,13 +178,15 @@ def search(
         if best > PROBED:
             progress(f"round {len(rounds) + 1}: refitting the best suspects")
             trials += [_trial(bench, model, member, value) for member, value in probes(bench, model, best)]
-        trials = [t for t in trials if np.isfinite(t.saved)]
+        trials = [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
         if not trials:
             break
         exact = bench.refine(trials[0].model)
         winner = dataclasses.replace(trials[0], model=exact, saved=2 * (model.cost - exact.cost))
         trials[0] = winner
+        if not (np.isfinite(exact.cost) and bench.sound(exact)):
+            break
         after = bench.screen(winner.model)
         phi = dispersion(bench, winner.model, after)
         accepted = significant(bench, winner, stats, after, phi)

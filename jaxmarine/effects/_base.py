@@ -9,6 +9,7 @@ and its suspects. The classical terms of a vehicle file and learned networks ent
 import abc
 import dataclasses
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, Protocol, Self
 
 import equinox as eqx
@@ -59,6 +60,7 @@ class AbstractEffect(eqx.Module):
     confused_with: ClassVar[tuple[str, ...]] = ()
     shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best
     advice: ClassVar[str] = ""  # what to look at on the boat
+    least: ClassVar[Mapping[str, float]] = MappingProxyType({})  # smallest values that mean anything
 
     @classmethod
     @abc.abstractmethod

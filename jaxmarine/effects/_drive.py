@@ -194,6 +194,7 @@ class InflowLoss(DriveEffect):
 
     name = "inflow_loss"
     units = {"per_speed": "s/m"}
+    least = {"per_speed": 0.0}
     confused_with = ("tether_drag", "quadratic_damping", "thruster_gain:all")
     shown_by = "the same command at different speeds, also against the motion"
     advice = "use the propeller's open-water curve: thrust is lost to the inflow"

@@ -167,6 +167,7 @@ class TetherDrag(WrenchEffect):
 
     name = "tether_drag"
     units = {"coefficient": "N s²/m²"}
+    least = {"coefficient": 0.0}
     confused_with = ("quadratic_damping", "inflow_loss")
     shown_by = "fast motion along several translations, also combined"
     advice = "the cable drags: pay out slack, or keep its drag in the model"
@@ -195,6 +196,7 @@ class Waves(WrenchEffect):
 
     name = "waves"
     units = {"north": "N", "east": "N", "period": "s", "phase": "rad"}
+    least = {"period": 0.0}
     confused_with = ("unknown",)
     shown_by = "some minutes on any course"
     advice = "waves: nothing to mend; filter them from the controller's signals"
@@ -228,6 +230,7 @@ class FluidMemory(WrenchEffect):
 
     name = "fluid_memory"
     units = {"gain": "N s/m or N m s", "time_constant": "s"}
+    least = {"time_constant": 0.01}
     confused_with = ("linear_damping", "added_mass")
     shown_by = "stops and reversals, with times around the time constant"
     advice = "the wake catches up with the hull: damping depends on the motion's past"
