@@ -34,6 +34,8 @@ FEWEST_SAMPLES = 12  # of a window
 STAND_IN = 0.35
 # Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
 CLOSE = 6.0
+# Suspects beaten in a round that are weighed once more in the end.
+RIVALS = 3
 
 Progress = Callable[[str], None]
 
@@ -77,6 +79,8 @@ def diagnose(
     phi = dispersion(bench, model, found.stats)
     model, dense = settle(bench, _pruned(bench, model, phi), phi)
     model = _beginnings_refined(bench, model)
+    phi = dispersion(bench, model, bench.screen(model))
+    model = _pruned(bench, _reweighed(bench, model, rounds, phi), phi)
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
     unknown: tuple[Dependence, ...] = ()
@@ -201,14 +205,29 @@ def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
 
 
 def _pruned(bench: Workbench, model: Model, phi: float) -> Model:
-    """The model without members that are not needed beside those found later."""
+    """The model without members that are not needed beside the others."""
     i = 0
-    while len(model.members) > 1 and i < len(model.members):
+    while i < len(model.members):
         less = bench.refine(bench.without_member(model, i))
         if 2 * (less.cost - model.cost) < needed(bench, model.members[i], phi):
             model, i = less, 0
         else:
             i += 1
+    return model
+
+
+def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: float) -> Model:
+    """Each member against those that it beat in its round, now that the other members are known."""
+    for i, member in enumerate(model.members):
+        trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
+        for trial in trials[0][1 : 1 + RIVALS] if trials else ():
+            if trial.member.suspect in {m.suspect for m in model.members}:
+                continue
+            value = trial.model.z[bench.slices(trial.model.members)[-1]]
+            other = bench.refine(bench.with_other(model, i, trial.member, value), max_steps=12)
+            price = penalty(bench, trial.member) - penalty(bench, model.members[i])
+            if bench.sound(other) and 2 * (other.cost - model.cost) / phi + price < 0:
+                model = other
     return model
 
 
@@ -368,18 +387,19 @@ def _alternatives(
     bench: Workbench, member: Member, phi: float, rounds: Sequence[Round], evidence: float
 ) -> tuple[Alternative, ...]:
     """What else was weighed in the round in which the member was taken."""
-    taken = [r for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
-    if not taken:
+    pairs = [
+        (r.trials, t) for r in rounds if r.accepted for t in r.trials if t.member.suspect == member.suspect
+    ]
+    if not pairs:
         return ()
-    trials = taken[0].trials
-    best = trials[0].saved
+    trials, own = pairs[0]
     out = []
-    for trial in trials[1:]:
+    for trial in trials:
         suspect = bench.layout.suspects[trial.member.suspect]
         if trial.member.suspect == member.suspect:
             continue
         behind = 0.5 * (
-            (best - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, trials[0].member)
+            (own.saved - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, own.member)
         )
         close = 2 * behind < CLOSE
         out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))

@@ -243,6 +243,13 @@ class Workbench:
             refined=None,
         )
 
+    def with_other(self, model: Model, which: int, member: Member, value: np.ndarray) -> Model:
+        """The model with one member in the place of another."""
+        where = self.slices(model.members)[which]
+        members = tuple(member if i == which else m for i, m in enumerate(model.members))
+        z = np.concatenate([model.z[: where.start], value, model.z[where.stop :]])
+        return dataclasses.replace(model, members=members, z=z, cost=np.inf, refined=None)
+
     def without_member(self, model: Model, which: int) -> Model:
         where = self.slices(model.members)[which]
         members = tuple(m for i, m in enumerate(model.members) if i != which)

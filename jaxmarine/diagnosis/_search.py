@@ -19,7 +19,7 @@ MOST = 6
 # Nats of evidence beyond the look-elsewhere correction that a finding needs.
 MARGIN = 8.0
 # A finding must save this many standard errors (over windows) of chi-square.
-SIGMAS = 3.0
+SIGMAS = 2.0
 # Chi-square that some suspect must save before the costly starts are tried.
 PROBED = 20.0
 
@@ -145,10 +145,13 @@ def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -
 
 
 def needed(bench: Workbench, member: Member, phi: float) -> float:
-    """Chi-square that a finding must save: its parameters, how many were tried, and a margin."""
+    """Chi-square that a finding must save: its parameters, how many were tried, and a margin.
+
+    And at least what makes its evidence worth mentioning (odds of 20 to 1).
+    """
     own = bench.layout.columns[member.suspect].shape[1]
     tried = len(bench.layout.suspects) * (bench.count if member.since else 1)
-    return phi * (2 * own + 2 * np.log(tried) + 2 * MARGIN)
+    return phi * max(2 * own + 2 * np.log(tried) + 2 * MARGIN, penalty(bench, member) + 6.0)
 
 
 def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:

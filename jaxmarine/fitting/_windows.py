@@ -106,6 +106,18 @@ class Room:
         )
 
 
+def _settled(vehicle: Vehicle, log: Log) -> int:
+    """The first sample at which what the thrusters were told before the log no longer acts.
+
+    Four lags and the delay of the vehicle file, and as long as 1 s for those that it may lack; at most a
+    tenth of the log.
+    """
+    if log.commands is None or not vehicle.thruster_names:
+        return 0
+    memory = float(np.max(4.0 * np.asarray(vehicle.thrusters.lag) + np.asarray(vehicle.thrusters.delay)))
+    return int(np.searchsorted(log.t, log.t[0] + min(max(1.0, memory), 0.1 * log.duration) - 1e-9))
+
+
 def cut(
     vehicle: Vehicle,
     logs: Sequence[Log],
@@ -115,6 +127,8 @@ def cut(
     segments: Sequence[np.ndarray] | None = None,
 ) -> Cut:
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
+
+    The first begins where the thrusters have forgotten what they were told before the log.
 
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
@@ -155,7 +169,7 @@ def cut(
         steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
         weight[steep, 3] = weight[steep, 5] = 0.0
         measured = np.where(usable, log.channels, 0.0)
-        for first in range(0, len(log.t) - size + 1, jump):
+        for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
             here = slice(first, first + size)
             parts["log"].append(g)
             parts["step"].append(np.arange(first, first + size))
