@@ -218,20 +218,31 @@ class Workbench:
         return np.inf if out is None else float(out.cost - out.promised)
 
     def sound(self, model: Model) -> bool:
-        """Whether all numbers mean something: no negative delays, lags, widths or time constants."""
+        """Whether all numbers mean something.
+
+        In their effects' ranges, no negative delays, lags and dead zones, a positive definite mass, and at
+        most half of the vehicle's own mass more or less.
+        """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
             suspect = self.layout.suspects[member.suspect]
             values = self.layout.neutral_of(member.suspect) + model.z[where]
             for name, value in zip(suspect.slots, values, strict=True):
-                if value < suspect.effect.least.get(name, -np.inf):
+                low, high = suspect.effect.plausible.get(name, (-np.inf, np.inf))
+                if not low <= value <= high:
                     return False
-        plant = self.problem(model.members).plant_of
-        drives = [
-            plant(jnp.asarray(theta), jnp.asarray(0)).drive for theta in np.unique(self.theta(model), axis=0)
-        ]
-        return all(
-            float(jnp.min(jnp.stack([d.delay, d.deadband, d.lag, d.saturation]))) >= -1e-9 for d in drives
-        )
+        plant_of, own = self.problem(model.members).plant_of, float(self.vehicle.body.matrix[0, 0])
+        for theta in np.unique(self.theta(model), axis=0):
+            plant = plant_of(jnp.asarray(theta), jnp.asarray(0))
+            drive, rigid = plant.drive, np.asarray(plant.load.rigid)
+            mass = rigid + np.asarray(plant.load.added)
+            if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
+                return False
+            free = np.flatnonzero(self.vehicle.free)
+            if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
+                return False
+            if float(jnp.min(jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation]))) < -1e-9:
+                return False
+        return True
 
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""

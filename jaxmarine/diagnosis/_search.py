@@ -11,7 +11,11 @@ from ._model import Beginning, Member, Model, Workbench
 from ._score import Reduced, savings, solve, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
-SHORTLIST = 5
+SHORTLIST = 8
+# Leading suspects that are refitted with a beginning too.
+BEGUN = 3
+# Share of the best saving that makes a suspect a candidate where the best fails.
+NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
 EARLIEST = 3
 # Findings in one diagnosis at most; a model that needs more is wrong in another way.
@@ -78,21 +82,27 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     return max(1.0, float(np.median(ratios)))
 
 
-def shortlist(bench: Workbench, model: Model, stats: Reduced) -> list[tuple[Member, float]]:
-    """The suspects worth refitting, with what the linearisation says they would save."""
+def shortlist(
+    bench: Workbench, model: Model, stats: Reduced
+) -> tuple[list[tuple[Member, float]], dict[int, Member]]:
+    """The suspects worth refitting with what the linearisation says they would save, the best first.
+
+    And each suspect with the beginning that suits it best, whether that is worth a refit or not.
+    """
     known, precision, offset = bench.known(model)
     active = {m.suspect for m in model.members}
     order = [i for i in range(len(bench.layout.suspects)) if i not in active]
     owns = tuple(bench.own(i) for i in order)
     table = savings(stats, known, precision, offset, owns, EARLIEST)
-    out = []
+    out, begun = [], {}
     for i, row in zip(order, table, strict=True):
         out.append((Member(i), float(row[0])))
         w = int(np.argmax(row[1:])) + 1 if len(row) > 1 else 0
-        if w and bench.may_begin(model, i) and row[w] > row[0] + max(40.0, 0.2 * row[0]):
-            since = Beginning(int(bench.window_log[w]), float(bench.data.starts[w]))
-            out.append((Member(i, since), float(row[w])))
-    return sorted(out, key=lambda item: -item[1])
+        if w and bench.may_begin(model, i) and np.isfinite(row[w]):
+            begun[i] = Member(i, Beginning(int(bench.window_log[w]), float(bench.data.starts[w])))
+            if row[w] > row[0] + max(40.0, 0.2 * row[0]):
+                out.append((begun[i], float(row[w])))
+    return sorted(out, key=lambda item: -item[1]), begun
 
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
@@ -162,6 +172,13 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
         lost = putting_back(bench, trial.model, after, bench.slices(trial.model.members)[-1])
     else:
         lost = before.chi2 - after.chi2
+    since = trial.member.since
+    if since is not None:
+        # Windows in which it does not act say nothing of it.
+        acts = (bench.window_log > since.log) | (
+            (bench.window_log == since.log) & (bench.data.starts >= since.time - 1e-9)
+        )
+        lost = lost[acts]
     return bool(trial.saved > needed(bench, trial.member, phi) and t_value(lost) > SIGMAS)
 
 
@@ -175,8 +192,10 @@ def search(
     rounds: list[Round] = []
     while len(model.members) < MOST:
         progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
-        ranked = shortlist(bench, model, stats)
+        ranked, begun = shortlist(bench, model, stats)
         trials = [_trial(bench, model, member) for member, _ in ranked[:SHORTLIST]]
+        trials = [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+        trials += [_trial(bench, model, member) for member in _begun(begun, trials)]
         best = max([t.saved for t in trials if np.isfinite(t.saved)], default=0.0)
         if best > PROBED:
             progress(f"round {len(rounds) + 1}: refitting the best suspects")
@@ -185,19 +204,34 @@ def search(
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
         if not trials:
             break
-        exact = bench.refine(trials[0].model)
-        winner = dataclasses.replace(trials[0], model=exact, saved=2 * (model.cost - exact.cost))
-        trials[0] = winner
-        if not (np.isfinite(exact.cost) and bench.sound(exact)):
-            break
-        after = bench.screen(winner.model)
-        phi = dispersion(bench, winner.model, after)
-        accepted = significant(bench, winner, stats, after, phi)
+        # The best may rest on a few windows, as one does that acts throughout in the place of one that
+        # begins: then those that save nearly as much are looked at too.
+        rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
+        accepted, after, phi = False, stats, 1.0
+        for trial in [trials[0], *rivals[: BEGUN - 1]]:
+            exact = bench.refine(trial.model)
+            if not (np.isfinite(exact.cost) and bench.sound(exact)):
+                continue
+            winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
+            after = bench.screen(exact)
+            phi = dispersion(bench, exact, after)
+            accepted = significant(bench, winner, stats, after, phi)
+            if accepted:
+                trials = [winner, *(t for t in trials if t is not trial)]
+                break
         rounds.append(Round(_once(trials), accepted, phi))
         if not accepted:
             break
-        model, stats = winner.model, after
+        model, stats = trials[0].model, after
     return Found(model, stats, tuple(rounds))
+
+
+def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:
+    """The leading suspects once more, acting from the time that suits them best."""
+    leading = sorted(trials, key=lambda t: -t.saved)[:BEGUN]
+    tried = {t.member for t in trials}
+    wanted = [begun[t.member.suspect] for t in leading if t.member.suspect in begun]
+    return [member for member in dict.fromkeys(wanted) if member not in tried]
 
 
 def _once(trials: list[Trial]) -> tuple[Trial, ...]:

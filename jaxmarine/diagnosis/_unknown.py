@@ -23,8 +23,6 @@ HARMONICS = 6
 BUMPS = 16
 # Pull to zero of a regressor's coefficient, relative to what the data say of it.
 RIDGE = 1e-3
-# Signals that are tried in pairs with all others.
-LEADING = 4
 
 Signals = dict[str, Float[np.ndarray, "windows knots"]]
 
@@ -147,8 +145,6 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
     gain = singles[order[0]]
     best_pair, best = chosen, gain
     for pair in itertools.combinations(order, 2):
-        if pair[0] not in order[:LEADING]:
-            continue
         now = saved(pair)
         if now.sum() > best.sum():
             best_pair, best = pair, now

@@ -60,7 +60,7 @@ class AbstractEffect(eqx.Module):
     confused_with: ClassVar[tuple[str, ...]] = ()
     shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best
     advice: ClassVar[str] = ""  # what to look at on the boat
-    least: ClassVar[Mapping[str, float]] = MappingProxyType({})  # smallest values that mean anything
+    plausible: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # range of a parameter
 
     @classmethod
     @abc.abstractmethod

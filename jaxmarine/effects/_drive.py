@@ -57,6 +57,7 @@ class Deadband(DriveEffect):
 
     name = "deadband"
     units = {"width": "1"}
+    plausible = {"width": (-1.0, 0.5)}
     confused_with = ("thrust_curve", "thruster_gain")
     shown_by = "many small commands of both signs beside large ones"
     advice = "look at the motor controllers' dead zone and start-up threshold"
@@ -194,7 +195,7 @@ class InflowLoss(DriveEffect):
 
     name = "inflow_loss"
     units = {"per_speed": "s/m"}
-    least = {"per_speed": 0.0}
+    plausible = {"per_speed": (0.0, 1.0)}
     confused_with = ("tether_drag", "quadratic_damping", "thruster_gain:all")
     shown_by = "the same command at different speeds, also against the motion"
     advice = "use the propeller's open-water curve: thrust is lost to the inflow"

@@ -3,6 +3,7 @@
 from typing import Self
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import DOFS, Matrix6, Scalar, Wrench
@@ -167,7 +168,7 @@ class TetherDrag(WrenchEffect):
 
     name = "tether_drag"
     units = {"coefficient": "N s²/m²"}
-    least = {"coefficient": 0.0}
+    plausible = {"coefficient": (0.0, np.inf)}
     confused_with = ("quadratic_damping", "inflow_loss")
     shown_by = "fast motion along several translations, also combined"
     advice = "the cable drags: pay out slack, or keep its drag in the model"
@@ -196,7 +197,7 @@ class Waves(WrenchEffect):
 
     name = "waves"
     units = {"north": "N", "east": "N", "period": "s", "phase": "rad"}
-    least = {"period": 0.0}
+    plausible = {"period": (0.0, np.inf)}
     confused_with = ("unknown",)
     shown_by = "some minutes on any course"
     advice = "waves: nothing to mend; filter them from the controller's signals"
@@ -230,7 +231,7 @@ class FluidMemory(WrenchEffect):
 
     name = "fluid_memory"
     units = {"gain": "N s/m or N m s", "time_constant": "s"}
-    least = {"time_constant": 0.01}
+    plausible = {"time_constant": (0.01, np.inf)}
     confused_with = ("linear_damping", "added_mass")
     shown_by = "stops and reversals, with times around the time constant"
     advice = "the wake catches up with the hull: damping depends on the motion's past"
