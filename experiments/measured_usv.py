@@ -53,7 +53,6 @@ START_LINEAR = np.diag([5.0, 15.0, 2.0])
 START_QUADRATIC = np.diag([6.0, 60.0, 1.0])
 START_ADDED = np.array([[2.25, 0.0, 0.0], [0.0, 20.0, 1.0], [0.0, 1.0, 0.5]])
 START_THRUST = 24.0  # [N]
-START_LAG = 0.05  # [s]
 
 Errors = Float[np.ndarray, "times 3"]
 
@@ -69,8 +68,6 @@ class Candidate:
     lift: float = 1.0
     curve: float = 1.0
     delay: float = 1.0
-    arm: float = 1e-3
-    lag: float = 1e-3
 
     def prior(self) -> tuple:
         """Standard deviations in the structure of `selected`; 0 holds an entry."""
@@ -84,8 +81,6 @@ class Candidate:
             _six(linear),
             _six(quadratic),
             np.full(2, 8.0),
-            0.05 * self.arm * np.array([[0.0, 1.0, 0.0]] * 2),
-            np.full(2, 0.1 * self.lag),
             np.array(0.05 * self.delay),
             np.array(0.3 * self.curve),
             *map(np.array, lift),
@@ -97,9 +92,6 @@ class Candidate:
 CANDIDATES = (
     Candidate("all terms"),
     Candidate("all terms, near the start", width=1.0),
-    Candidate("and lever arms", arm=1.0),
-    Candidate("and a thruster lag", lag=1.0),
-    Candidate("both, near the start", width=1.0, arm=1.0, lag=1.0),
     Candidate("all terms, hardly held", width=10.0),
     Candidate("no hull lift", lift=1e-3),
     Candidate("no couplings", coupling=1e-3),
@@ -131,20 +123,13 @@ def start_of(published: jm.Vehicle) -> jm.Vehicle:
         effect = place(suspect_named(published, name, target), published, values)
         placed.append(jm.Placed(effect, target))
     vehicle = eqx.tree_at(
-        lambda v: (
-            v.added_mass,
-            v.damping.linear,
-            v.damping.quadratic,
-            v.thrusters.max_thrust,
-            v.thrusters.lag,
-        ),
+        lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic, v.thrusters.max_thrust),
         published,
         (
             jnp.asarray(_six(START_ADDED)),
             jnp.asarray(_six(START_LINEAR)),
             jnp.asarray(_six(START_QUADRATIC)),
             jnp.full(2, START_THRUST),
-            jnp.full(2, START_LAG),
         ),
     )
     return vehicle.place(*placed)
@@ -159,8 +144,6 @@ def selected(vehicle: jm.Vehicle) -> tuple:
         vehicle.damping.linear,
         vehicle.damping.quadratic,
         vehicle.thrusters.max_thrust,
-        vehicle.thrusters.position,
-        vehicle.thrusters.lag,
         delay.delay,
         curve.quadratic,
         lift.Y_uv,

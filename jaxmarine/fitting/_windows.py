@@ -109,13 +109,12 @@ class Room:
 def _settled(vehicle: Vehicle, log: Log) -> int:
     """The first sample at which what the thrusters were told before the log no longer acts.
 
-    Four lags and the delay of the vehicle file, and as long as 1 s for those that it may lack; at most a
-    tenth of the log.
+    Four lags and the delay of the vehicle file; at most a tenth of the log.
     """
     if log.commands is None or not vehicle.thruster_names:
         return 0
     memory = float(np.max(4.0 * np.asarray(vehicle.thrusters.lag) + np.asarray(vehicle.thrusters.delay)))
-    return int(np.searchsorted(log.t, log.t[0] + min(max(1.0, memory), 0.1 * log.duration) - 1e-9))
+    return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))
 
 
 def cut(
