@@ -84,6 +84,17 @@ def test_a_shell_sees_one_sentence_and_exit_code_2(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_compiled_programs_are_kept_in_the_users_cache(tmp_path):
+    """In a process of its own, since the setting is read when JAX compiles first."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
+    code = "from jaxmarine.cli import _prepare; _prepare(); import jax; jax.jit(lambda x: x + 1)(1.0)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=kept | {"XDG_CACHE_HOME": str(tmp_path)}, timeout=300
+    )
+    assert done.returncode == 0
+    assert any((tmp_path / "jaxmarine").iterdir())
+
+
 # --- what cannot be used -------------------------------------------------------------------------
 
 
