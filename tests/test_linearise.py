@@ -12,7 +12,7 @@ import pytest
 
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
-from jaxmarine.fitting import Problem, cut, linearise, predict, start_precision
+from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Placed, Plant, Vehicle
 from tests.crafts import independent, log_of, packaged, random_commands, random_start
@@ -35,8 +35,7 @@ class Saturated(eqx.Module):
 @dataclasses.dataclass(frozen=True)
 class Case:
     problem: Problem
-    theta: np.ndarray
-    spread: np.ndarray
+    affine: Affine
     names: tuple[str, ...]  # of the parameters
 
 
@@ -92,23 +91,27 @@ def case(name: str, segments: int, logs: int) -> Case:
     )
     # Each parameter acts in some segments and not in others.
     acts = (rng.random((segments, len(neutral))) < 0.7) | (np.arange(segments)[:, None] == 0)
-    return Case(problem, theta, np.eye(len(neutral))[None] * acts[:, None, :], names)
+    affine = Affine(jnp.asarray(theta), jnp.eye(len(neutral)), jnp.asarray(acts, float))
+    return Case(problem, affine, names)
 
 
 @eqx.filter_jit
-def by_recursion(problem, theta, spread, delta):
-    return linearise(problem, theta, spread, delta)
+def by_recursion(problem, affine, delta):
+    return linearise(problem, affine, delta)
 
 
 @eqx.filter_jit
-def by_forward_mode(problem, theta, spread, delta):
-    """Residuals of the predictions [windows, rows] and their Jacobians by `z` and initial state."""
+def by_forward_mode(problem, theta, acts, delta):
+    """Residuals of the predictions [windows, rows] and their Jacobians by `z` and initial state.
+
+    Each parameter is a z, moved by hand in the segments in which it acts.
+    """
 
     def residuals(z, move):
-        out = predict(problem, theta + spread @ z, delta + move[None, :])[1]
+        out = predict(problem, theta + jnp.where(acts > 0, z[None], 0.0), delta + move[None, :])[1]
         return out.reshape(out.shape[0], -1)
 
-    z, move = jnp.zeros(spread.shape[-1]), jnp.zeros(12)
+    z, move = jnp.zeros(theta.shape[-1]), jnp.zeros(12)
     by_z, by_move = jax.jacfwd(residuals, argnums=(0, 1))(z, move)
     return residuals(z, move), by_move, by_z
 
@@ -121,9 +124,9 @@ def both(name: str, segments: int, logs: int):
     """Statistics by the recursion, and residuals with Jacobians by forward mode."""
     this = case(name, segments, logs)
     delta = 1e-3 * np.random.default_rng(3).normal(size=(this.problem.windows.count, 12))
-    arguments = [jnp.asarray(a) for a in (this.theta, this.spread, delta)]
-    stats = jax.tree.map(np.asarray, by_recursion(this.problem, *arguments))
-    exact = tuple(np.asarray(a) for a in by_forward_mode(this.problem, *arguments))
+    stats = jax.tree.map(np.asarray, by_recursion(this.problem, this.affine, jnp.asarray(delta)))
+    exact = by_forward_mode(this.problem, this.affine.theta, this.affine.acts, jnp.asarray(delta))
+    exact = tuple(np.asarray(a) for a in exact)
     return this, delta, stats, exact
 
 

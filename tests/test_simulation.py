@@ -20,7 +20,7 @@ from jaxmarine.effects import (
     VelocityScale,
     Waves,
 )
-from jaxmarine.fitting import Problem, Task, cut, predict, refine_windows, start_precision
+from jaxmarine.fitting import Affine, Problem, Task, cut, predict, refine_windows, start_precision
 from jaxmarine.logs import read_log, sensor_noise
 from jaxmarine.physics import rotation
 from jaxmarine.simulation import gates, hold, initial_state, inputs, simulate, substeps
@@ -368,7 +368,8 @@ def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
         jnp.asarray(start_precision(vehicle.free)),
         True,
     )
-    task = Task(problem, jnp.zeros((1, 1)), jnp.zeros((1, 1, 1)), jnp.ones(1), jnp.zeros(1))
+    nothing = Affine(jnp.zeros((1, 1)), jnp.zeros((1, 1)), jnp.ones((1, 1)))
+    task = Task(problem, nothing, jnp.ones(1), jnp.zeros(1))
     start = jnp.zeros((data.windows.count, 12))
     fitted = refine_windows(task, jnp.zeros(1), start)
     assert fitted.converged

@@ -5,6 +5,7 @@ import pytest
 
 from jaxmarine.diagnosis._knots import Knots
 from jaxmarine.diagnosis._score import Reduced
+from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._unknown import dependences
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -39,11 +40,13 @@ def knots_with(heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random
         precision=np.zeros(0),
         offset=np.zeros(0),
         free=free,
-        t=np.arange(WINDOWS * KNOTS, dtype=float).reshape(SHAPE),
-        log=np.zeros(WINDOWS, int),
-        rotation=np.tile(np.eye(3), (*SHAPE, 1, 1)),
-        velocity=np.zeros((*SHAPE, 6)),
-        signals=signals,
+        places=Places(
+            t=np.arange(WINDOWS * KNOTS, dtype=float).reshape(SHAPE),
+            log=np.zeros(WINDOWS, int),
+            rotation=np.tile(np.eye(3), (*SHAPE, 1, 1)),
+            velocity=np.zeros((*SHAPE, 6)),
+            signals=signals,
+        ),
     )
 
 

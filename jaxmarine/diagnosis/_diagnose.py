@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from .._types import CHANNELS, RATE, SENSORS, VELOCITY
@@ -21,8 +22,9 @@ from ._model import Beginning, Member, Model, Workbench
 from ._result import Alternative, Diagnosis, Finding, Parameter, Recalibrated, Verdict, Weighed
 from ._saturated import saturate
 from ._score import Reduced, solve
-from ._search import Round, dispersion, needed, penalty, putting_back, search
-from ._unknown import Dependence, Signals, cost_of_removal, dependences
+from ._search import ROUGH, STEPS, Found, Round, dispersion, needed, penalty, putting_back, search
+from ._signals import Signals
+from ._unknown import Dependence, cost_of_removal, dependences
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
@@ -44,6 +46,9 @@ def _silent(text: str) -> None:
     del text
 
 
+# Many small products of matrices: threads of the linear algebra would only wait for one another, on a
+# busy machine for several times the work.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     vehicle: Vehicle,
     train: Sequence[Log] | Log,
@@ -71,54 +76,33 @@ def diagnose(
         )
     progress("fitting the vehicle file")
     base = bench.refine(bench.start())
-    bench = _rescaled(bench, base, vehicle)
-    base = bench.refine(base)
+    rescaled = _rescaled(bench, base, vehicle)
+    bench, base = (bench, base) if rescaled is bench else (rescaled, rescaled.refine(base))
     found = search(bench, base, progress)
-    model, rounds = found.model, found.rounds
     progress("settling what was found")
-    phi = dispersion(bench, model, found.stats)
-    model, dense = settle(bench, _pruned(bench, model, phi), phi)
-    model = _beginnings_refined(bench, model)
-    phi = dispersion(bench, model, bench.screen(model))
-    model = _pruned(bench, _reweighed(bench, model, rounds, phi), phi)
-    stats = bench.screen(model)
-    phi = dispersion(bench, model, stats)
-    unknown: tuple[Dependence, ...] = ()
-    k = knots(bench, model)
-    while not _is_white(bench, stats, phi):
-        progress("looking for what the residual depends on")
-        unknown = dependences(k, phi, _undisturbed(bench, _extended(bench, model, dense), k))
-        spurious = _stand_in(bench, model, k, unknown)
-        if spurious is None:
-            break
-        model = bench.refine(bench.without_member(model, spurious))
-        stats = bench.screen(model)
-        phi = dispersion(bench, model, stats)
-        k = knots(bench, model)
-        unknown = ()
+    model, dense = _settled(bench, found)
+    now, unknown = _with_unknown(bench, _judged(bench, model), dense, progress)
     start = bench.refine(bench.frozen(bench.start()))
-    if model.members and not _is_white(bench, stats, phi):
-        alone = _unknown_alone(bench, start)
-        if _left_over(bench, start, alone) < STAND_IN * _left_over(bench, model, unknown):
+    if now.model.members and not now.white:
+        alone = _judged(bench, start)
+        left = _dependences(bench, alone, bench.vehicle)
+        if _left_over(bench, alone, left) < STAND_IN * _left_over(bench, now, unknown):
             # Nothing that was named is the cause: it only took the shape of what is unknown.
-            model, unknown, dense = start, alone, False
-            stats = bench.screen(model)
-            phi = dispersion(bench, model, stats)
-            k = knots(bench, model)
-    white = _is_white(bench, stats, phi)
+            now, unknown, dense = alone, left, False
+    model = now.model
 
     extended = _extended(bench, model, dense)
     final = Candidate(vehicle, bench.families, bench.theta(model))
     if unknown:
         progress("learning what is missing")
-        terms = learn(k, unknown, vehicle.thruster_names)
+        terms = learn(now.knots, unknown, vehicle.thruster_names)
         placed = tuple(Placed(term, term.target) for term in terms)
         extended = extended.place(*placed)
         final = dataclasses.replace(final, vehicle=vehicle.place(*placed))
     progress("predicting the test log")
     measured = _measured_gain(bench, model, final, test, changed=extended is not vehicle)
-    findings = _findings(bench, model, stats, phi, rounds) + tuple(
-        Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / phi) for one in unknown
+    findings = _findings(bench, now, found.rounds) + tuple(
+        Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
     if dense:
         notes.append(
@@ -141,18 +125,18 @@ def diagnose(
         verdict=verdicts[named, bool(unknown)],
         findings=findings,
         gain=measured[0],
-        white=white,
+        white=now.white,
         depends_on=tuple(dict.fromkeys(name for one in unknown for name in one.signals)),
         vehicle=vehicle,
         extended=extended,
-        recalibrated=_recalibrated(bench, model, stats) if dense else (),
-        rounds=tuple(_weighed(bench, one) for one in rounds),
+        recalibrated=_recalibrated(bench, now) if dense else (),
+        rounds=tuple(_weighed(bench, one) for one in found.rounds),
         groups=_groups(findings),
         misfit_before=2 * start.cost / bench.samples,
-        misfit_after=float(stats.chi2.sum()) / bench.samples,
+        misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
         missing_before=missing_wrench(knots(bench, start)),
-        missing_after=missing_wrench(k),
+        missing_after=missing_wrench(now.knots),
         train=tuple(log.name for log in logs),
         test=test.name,
         notes=tuple(dict.fromkeys(notes)),
@@ -218,13 +202,15 @@ def _pruned(bench: Workbench, model: Model, phi: float) -> Model:
 
 def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: float) -> Model:
     """Each member against those that it beat in its round, now that the other members are known."""
+    if len(model.members) == 1:
+        return model
     for i, member in enumerate(model.members):
         trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
         for trial in trials[0][1 : 1 + RIVALS] if trials else ():
             if trial.member.suspect in {m.suspect for m in model.members}:
                 continue
             value = trial.model.z[bench.slices(trial.model.members)[-1]]
-            other = bench.refine(bench.with_other(model, i, trial.member, value), max_steps=12)
+            other = bench.refine(bench.with_other(model, i, trial.member, value), STEPS)
             price = penalty(bench, trial.member) - penalty(bench, model.members[i])
             if bench.sound(other) and 2 * (other.cost - model.cost) / phi + price < 0:
                 model = other
@@ -254,16 +240,63 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     return model
 
 
-def _is_white(bench: Workbench, stats: Reduced, phi: float) -> bool:
-    """Whether only sensor noise is left: its size is right, and the windows' scores scatter like it."""
-    per_sample = stats.chi2.sum() / bench.samples
+@dataclasses.dataclass(frozen=True)
+class _Judged:
+    """A model with what its residual says.
+
+    - `phi`: dispersion of the windows' scores; `knots`: the missing wrench.
+    - `white`: whether only sensor noise is left: its size is right, and the scores scatter like it.
+    """
+
+    model: Model
+    stats: Reduced
+    phi: float
+    knots: Knots
+    white: bool
+
+
+def _judged(bench: Workbench, model: Model) -> _Judged:
+    stats = bench.screen(model)
+    phi = dispersion(bench, model, stats)
     size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
-    return bool(per_sample < size and phi < 1.6)
+    white = bool(stats.chi2.sum() / bench.samples < size and phi < 1.6)
+    return _Judged(model, stats, phi, knots(bench, model), white)
 
 
-def _undisturbed(bench: Workbench, vehicle: Vehicle, k: Knots) -> Signals | None:
+def _settled(bench: Workbench, found: Found) -> tuple[Model, bool]:
+    """What the search found, without what is not needed, and whether the whole file was recalibrated."""
+    phi = dispersion(bench, found.model, found.stats)
+    model, dense = settle(bench, _pruned(bench, found.model, phi), phi)
+    model = _beginnings_refined(bench, model)
+    phi = dispersion(bench, model, bench.screen(model))
+    return _pruned(bench, _reweighed(bench, model, found.rounds, phi), phi), dense
+
+
+# --- what is unknown -----------------------------------------------------------------------------
+
+
+def _with_unknown(
+    bench: Workbench, now: _Judged, dense: bool, progress: Progress
+) -> tuple[_Judged, tuple[Dependence, ...]]:
+    """What the residual depends on, and the model without members that only stood in for that."""
+    while not now.white:
+        progress("looking for what the residual depends on")
+        unknown = _dependences(bench, now, _extended(bench, now.model, dense))
+        spurious = _stand_in(bench, now, unknown)
+        if spurious is None:
+            return now, unknown
+        now = _judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+    return now, ()
+
+
+def _dependences(bench: Workbench, now: _Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
+    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle))
+
+
+def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
     """Velocities at the knots as simulated from the commands over whole logs, None where that fails."""
-    out = np.zeros((*k.t.shape, 6))
+    places = bench.places
+    out = np.zeros((*places.t.shape, 6))
     logs = bench.data.logs
     for i, log in enumerate(logs):
         track = smooth_states(log, vehicle.dof)
@@ -271,33 +304,26 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle, k: Knots) -> Signals | None
         later = {other.name for other in logs[i + 1 :]}
         begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
         run = simulate(dataclasses.replace(vehicle, placed=begun), log, start)
-        here = k.log == i
+        here = places.log == i
         nu = np.asarray(run.states.velocity)
         for axis in range(6):
-            out[here, :, axis] = np.interp(k.t[here], log.t, nu[:, axis])
+            out[here, :, axis] = np.interp(places.t[here], log.t, nu[:, axis])
     names = (*VELOCITY, *RATE)
     return {name: out[..., i] for i, name in enumerate(names)} if np.isfinite(out).all() else None
 
 
-def _unknown_alone(bench: Workbench, start: Model) -> tuple[Dependence, ...]:
-    """What the residual of the file as it is depends on."""
-    k = knots(bench, start)
-    phi = dispersion(bench, start, bench.screen(start))
-    return dependences(k, phi, _undisturbed(bench, bench.vehicle, k))
-
-
-def _left_over(bench: Workbench, model: Model, unknown: tuple[Dependence, ...]) -> float:
+def _left_over(bench: Workbench, now: _Judged, unknown: tuple[Dependence, ...]) -> float:
     """Chi-square beyond the noise that a model and unknown dependences leave; infinite without any."""
-    if not unknown and not model.members:
+    if not unknown and not now.model.members:
         return np.inf
-    return max(2 * model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
+    return max(2 * now.model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
 
 
-def _stand_in(bench: Workbench, model: Model, k: Knots, unknown: tuple[Dependence, ...]) -> int | None:
+def _stand_in(bench: Workbench, now: _Judged, unknown: tuple[Dependence, ...]) -> int | None:
     """The member that an unknown dependence replaces best, if one does."""
-    if not unknown or not model.members:
+    if not unknown or not now.model.members:
         return None
-    costs = cost_of_removal(k, bench.slices(model.members), unknown)
+    costs = cost_of_removal(now.knots, bench.slices(now.model.members), unknown)
     shares = [beside / max(alone, 1e-9) for alone, beside in costs]
     worst = int(np.argmin(shares))
     return worst if shares[worst] < STAND_IN else None
@@ -335,11 +361,11 @@ def _extended(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     return vehicle.place(*placed) if placed else vehicle
 
 
-def _covariance(bench: Workbench, model: Model, stats: Reduced) -> np.ndarray:
+def _covariance(bench: Workbench, now: _Judged) -> np.ndarray:
     """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half."""
-    known, precision, _ = bench.known(model)
-    g = stats.g @ known
-    h = known.T @ stats.h.sum(0) @ known + np.diag(precision)
+    known, precision, _ = bench.known(now.model)
+    g = now.stats.g @ known
+    h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
     inverse = solve(h, np.eye(len(h)))
     scores = (g - g.mean(0)) @ inverse
     model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
@@ -349,10 +375,9 @@ def _covariance(bench: Workbench, model: Model, stats: Reduced) -> np.ndarray:
     return inverse * np.outer(factor, factor)
 
 
-def _findings(
-    bench: Workbench, model: Model, stats: Reduced, phi: float, rounds: Sequence[Round]
-) -> tuple[Finding, ...]:
-    std = np.sqrt(np.diag(_covariance(bench, model, stats)))
+def _findings(bench: Workbench, now: _Judged, rounds: Sequence[Round]) -> tuple[Finding, ...]:
+    model, phi = now.model, now.phi
+    std = np.sqrt(np.diag(_covariance(bench, now)))
     out = []
     for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
         suspect = bench.layout.suspects[member.suspect]
@@ -362,11 +387,11 @@ def _findings(
             name: Parameter(float(value), float(s), units[name])
             for name, value, s in zip(suspect.slots, values, std[where], strict=True)
         }
-        without = bench.refine(bench.without_member(model, i))
+        without = bench.refine(bench.without_member(model, i), STEPS, ROUGH)
         saved = 2 * (without.cost - model.cost)
         if not np.isfinite(saved):
             # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
-            saved = float(putting_back(bench, model, stats, where).sum())
+            saved = float(putting_back(bench, model, now.stats, where).sum())
         evidence = 0.5 * (saved / phi - penalty(bench, member))
         since = member.since
         out.append(
@@ -438,12 +463,12 @@ def _weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
     return tuple(out)
 
 
-def _recalibrated(bench: Workbench, model: Model, stats: Reduced) -> tuple[Recalibrated, ...]:
-    std = np.sqrt(np.diag(_covariance(bench, model, stats)))
-    taken = {bench.layout.suspects[m.suspect].label for m in model.members}
+def _recalibrated(bench: Workbench, now: _Judged) -> tuple[Recalibrated, ...]:
+    std = np.sqrt(np.diag(_covariance(bench, now)))
+    taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
     return tuple(
         Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
-        for c, z, s in zip(bench.base, model.z, std, strict=False)
+        for c, z, s in zip(bench.base, now.model.z, std, strict=False)
         if c.label not in taken
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
-from ..fitting import Problem, Room, Task, cut, predict, refine_windows, start_precision
+from ..fitting import Affine, Problem, Room, Task, cut, predict, refine_windows, start_precision
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._model import SLOTS
@@ -72,12 +72,11 @@ def predictions(
         # No parameter is free here, only the states at the starts.
         task = Task(
             Problem(plant, records, seen, precision, accelerations, jnp.asarray(split)),
-            theta,
-            jnp.zeros((*theta.shape, SLOTS)),
+            Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS))),
             jnp.ones(SLOTS),
             jnp.zeros(SLOTS),
         )
-        started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10)
+        started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
         problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
         shown = np.asarray(_predicted(problem, theta, started.delta))
         out.append(shown[: data.windows.count])

@@ -7,17 +7,13 @@ swings with a period. No hypothesis needs a simulation of its own.
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..logs import smooth_states
-from ..networks import SIGNALS
-from ..physics import from_euler, rotation
 from ._model import KNOT, Model, Workbench
 from ._result import MissingWrench
 from ._score import Reduced, solve
+from ._signals import Places
 
 
 def on_axis(
@@ -31,11 +27,10 @@ def on_axis(
 
 @dataclasses.dataclass(frozen=True)
 class Knots:
-    """Statistics of the known parameters and the knots, and the signals at the knots.
+    """Statistics of the known parameters and the knots, and where the knots lie.
 
     - `stats`: columns are the model's z, then knots times six axes.
     - `precision`, `offset`: prior of z; `free` [6].
-    - `t`, `log`, `rotation` [windows, knots, ...]; `signals`: by name, [windows, knots].
     """
 
     stats: Reduced
@@ -43,17 +38,12 @@ class Knots:
     precision: np.ndarray
     offset: np.ndarray
     free: np.ndarray
-    t: Float[np.ndarray, "windows knots"]
-    log: np.ndarray
-    rotation: Float[np.ndarray, "windows knots 3 3"]
-    velocity: Float[np.ndarray, "windows knots 6"]
-    signals: dict[str, np.ndarray]
+    places: Places
 
     def wrench(self, values: Float[np.ndarray, "windows knots 6 features"]) -> Reduced:
         """Statistics of z and of wrenches with the given values at the knots."""
         n = self.width
-        windows = len(self.t)
-        flat = values.reshape(windows, values.shape[1] * 6, values.shape[-1])
+        flat = values.reshape(len(values), values.shape[1] * 6, values.shape[-1])
         g, h = self.stats.g, self.stats.h
         h_zk = np.einsum("wzk,wkf->wzf", h[:, :n, n:], flat, optimize=True)
         h_kk = np.einsum("wkf,wkl,wlm->wfm", flat, h[:, n:, n:], flat, optimize=True)
@@ -79,42 +69,7 @@ def knots(bench: Workbench, model: Model) -> Knots:
     into[size:, width:] = np.eye(6 * count)
     stats = Reduced(whole.chi2, whole.g @ into, np.swapaxes(whole.h @ into, 1, 2) @ into)
 
-    windows = bench.data.windows
-    step = np.asarray(windows.step)
-    part = np.arange(step.shape[1]) * count // step.shape[1]
-    middle = np.array([step[:, part == k].mean(axis=1) for k in range(count)]).T
-    log = np.asarray(windows.log)
-    t = np.zeros((len(log), count))
-    state = np.zeros((len(log), count, 12))
-    command = np.zeros((len(log), count, len(bench.vehicle.thruster_names)))
-    for i, source in enumerate(bench.data.logs):
-        here = log == i
-        track = smooth_states(source, bench.vehicle.dof)
-        sample = np.clip(np.round(middle[here]).astype(int), 0, len(source.t) - 1)
-        t[here] = source.t[sample]
-        state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
-        if source.commands is not None:
-            command[here] = np.asarray(source.commands)[sample]
-    names = ("x", "y", "z", "phi", "theta", "psi", "u", "v", "w", "p", "q", "r")
-    signals = {name: state[:, :, i] for i, name in enumerate(names) if name in SIGNALS}
-    signals |= {name: command[:, :, i] for i, name in enumerate(bench.vehicle.thruster_names)}
-    # Time over all logs in order, so that a drift from log to log is a dependence too.
-    spans = np.cumsum([0.0, *[source.duration for source in bench.data.logs]])[:-1]
-    signals["t"] = t + spans[log][:, None]
-    signals = {name: values for name, values in signals.items() if np.ptp(values) > 1e-6}
-    turns = np.asarray(jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6])))
-    return Knots(
-        stats=stats,
-        width=width,
-        precision=precision,
-        offset=offset,
-        free=bench.vehicle.free,
-        t=t,
-        log=log,
-        rotation=turns,
-        velocity=state[:, :, 6:],
-        signals=signals,
-    )
+    return Knots(stats, width, precision, offset, bench.vehicle.free, bench.places)
 
 
 def missing_wrench(k: Knots) -> MissingWrench:
@@ -124,7 +79,7 @@ def missing_wrench(k: Knots) -> MissingWrench:
     cannot tell apart from running against each other.
     """
     n = k.width
-    windows, count = k.t.shape
+    windows, count = k.places.t.shape
     wrench = np.full((windows, count, 6), np.nan)
     std = np.full((windows, count, 6), np.nan)
     free = np.flatnonzero(k.free)
@@ -137,25 +92,25 @@ def missing_wrench(k: Knots) -> MissingWrench:
         wrench[w][:, free] = (-cov @ g).reshape(count, -1)
         std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
     return MissingWrench(
-        log=np.repeat(k.log, count),
-        t=k.t.ravel(),
+        log=np.repeat(k.places.log, count),
+        t=k.places.t.ravel(),
         wrench=wrench.reshape(-1, 6),
         std=std.reshape(-1, 6),
-        velocity=k.velocity.reshape(-1, 6),
+        velocity=k.places.velocity.reshape(-1, 6),
     )
 
 
 def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     """What a swinging force of the best period would save, and its parameters to start a fit from."""
-    windows, count = k.t.shape
-    longest = 0.5 * (k.t.max() - k.t.min())
+    windows, count = k.places.t.shape
+    longest = 0.5 * (k.places.t.max() - k.places.t.min())
     periods = np.geomspace(4 * KNOT, max(longest, 8 * KNOT), 160)
-    north = np.swapaxes(k.rotation, 2, 3)[:, :, :, 0]
-    east = np.swapaxes(k.rotation, 2, 3)[:, :, :, 1]
+    north = np.swapaxes(k.places.rotation, 2, 3)[:, :, :, 0]
+    east = np.swapaxes(k.places.rotation, 2, 3)[:, :, :, 1]
     best = (-np.inf, {})
     n = k.width
     for period in periods:
-        angle = 2 * np.pi * k.t / period
+        angle = 2 * np.pi * k.places.t / period
         values = np.zeros((windows, count, 6, 4))
         for j, (axis, swing) in enumerate(
             (a, s) for a in (north, east) for s in (np.sin(angle), np.cos(angle))

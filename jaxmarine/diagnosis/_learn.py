@@ -20,7 +20,7 @@ def _inputs(k: Knots, names: tuple[str, ...]) -> np.ndarray:
     """The signals at the knots as a learned term sees them [windows, knots, inputs]."""
     out = []
     for name in names:
-        values = k.signals[name]
+        values = k.places.signals[name]
         out += [np.sin(values), np.cos(values)] if name in ATTITUDE else [values]
     return np.stack(out, axis=-1)
 
@@ -47,7 +47,7 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
     a, b = (jnp.asarray(x) for x in _quadratic(k))
     inputs = [_inputs(k, one.signals) for one in found]
     ranges = [(x.min((0, 1)), x.max((0, 1))) for x in inputs]
-    windows, count = k.t.shape
+    windows, count = k.places.t.shape
 
     def built(key) -> tuple[LearnedWrench, ...]:
         keys = jax.random.split(key, len(found))

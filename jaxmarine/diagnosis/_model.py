@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
+    Affine,
     Cut,
     Problem,
-    Refined,
     Room,
     Task,
     linearise,
@@ -25,6 +25,7 @@ from ..logs import Log
 from ..vehicle import Vehicle
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
+from ._signals import places
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
 SLOTS = 44
@@ -61,6 +62,7 @@ class Model:
 
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
     - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
+    - `promised`: the cost that one more step of it would reach by its last linearisation.
     - `frozen`: whether the file's coefficients are held at their values.
     """
 
@@ -68,8 +70,8 @@ class Model:
     z: Float[np.ndarray, " z"]
     delta: Array
     cost: float
+    promised: float = np.inf
     frozen: bool = False
-    refined: Refined | None = None
 
 
 class Workbench:
@@ -96,11 +98,20 @@ class Workbench:
         self.base = _base_coefficients(vehicle, layout)
         self.count = data.windows.count
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
-        weight = np.asarray(data.windows.weight)
-        self.accelerations = bool((weight[..., 12:] > 0).any())
         self.window_log = np.asarray(data.windows.log)
         self.room = Room.of(data.records, data.windows)
         self.knots = max(2, round(data.length / KNOT))
+        self.places = places(vehicle, data, self.knots)
+        self._screened: tuple[Model, Reduced] | None = None
+        records, windows = self.room.filled(data.records, data.windows)
+        self._problem = Problem(
+            SaturatedPlant(vehicle, families, jnp.ones((SEGMENTS, len(vehicle.placed)))),
+            records,
+            windows,
+            jnp.asarray(start_precision(vehicle.free)),
+            bool((np.asarray(windows.weight)[..., 12:] > 0).any()),
+            jnp.asarray(split),
+        )
 
     # --- the affine map of z -------------------------------------------------------------------
 
@@ -133,31 +144,26 @@ class Workbench:
         columns = sum(self.layout.columns[m.suspect].shape[1] for m in begun)
         return len(begun) + 1 < SEGMENTS and columns + self.layout.columns[suspect].shape[1] <= BEGUN
 
-    def spread(self, members: Sequence[Member]) -> np.ndarray:
+    def affine(self, members: Sequence[Member]) -> Affine:
+        """From z to the saturated model's parameters in each segment."""
         begun = self.beginnings(members)
-        out = np.zeros((SEGMENTS, self.layout.size, SLOTS))
+        columns, acts = np.zeros((self.layout.size, SLOTS)), np.ones((SEGMENTS, SLOTS))
         for j, coefficient in enumerate(self.base):
-            out[:, coefficient.index, j] = 1.0
+            columns[coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
-            first = 0 if member.since is None else begun.index(member.since) + 1
-            out[first:, :, where] = self.layout.columns[member.suspect]
-        return out
+            columns[:, where] = self.layout.columns[member.suspect]
+            if member.since is not None:
+                acts[: begun.index(member.since) + 1, where] = 0.0
+        neutral = np.tile(self.layout.neutral, (SEGMENTS, 1))
+        return Affine(jnp.asarray(neutral), jnp.asarray(columns), jnp.asarray(acts))
 
     def problem(self, members: Sequence[Member]) -> Problem:
-        steps = self.data.records.t.shape[1]
+        """The windows' residuals, with the segments that the members' beginnings make."""
+        logs, steps = self._problem.records.t.shape
         rows = [self.passed(members, log, i) for i, log in enumerate(self.data.logs)]
         rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
-        records = dataclasses.replace(self.data.records, segment=jnp.asarray(np.array(rows)))
-        records, windows = self.room.filled(records, self.data.windows)
-        gates = np.ones((SEGMENTS, len(self.vehicle.placed)))
-        return Problem(
-            SaturatedPlant(self.vehicle, self.families, jnp.asarray(gates)),
-            records,
-            windows,
-            jnp.asarray(start_precision(self.vehicle.free)),
-            self.accelerations,
-            jnp.asarray(self.split),
-        )
+        rows += [rows[-1]] * (logs - len(rows))
+        return eqx.tree_at(lambda p: p.records.segment, self._problem, jnp.asarray(np.array(rows)))
 
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
@@ -173,8 +179,7 @@ class Workbench:
         precision[: len(model.z)] = self._precision(model)
         return Task(
             self.problem(model.members),
-            jnp.tile(jnp.asarray(self.layout.neutral), (SEGMENTS, 1)),
-            jnp.asarray(self.spread(model.members)),
+            self.affine(model.members),
             jnp.asarray(precision),
             jnp.zeros(SLOTS),
         )
@@ -184,14 +189,15 @@ class Workbench:
     def start(self) -> Model:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.room.windows, 12)), np.inf)
 
-    def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-9) -> Model:
+    def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-7) -> Model:
         """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square."""
         z = np.zeros(SLOTS)
         z[: len(model.z)] = model.z
         out = refine_windows(self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol)
         cost = float(out.cost)
+        promised = cost - float(out.promised) if np.isfinite(cost) else np.inf
         z = np.asarray(out.z)[: len(model.z)]
-        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, refined=out)
+        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, promised=promised)
 
     def frozen(self, model: Model) -> Model:
         """The model with the file's coefficients held at their values."""
@@ -199,8 +205,9 @@ class Workbench:
 
     def theta(self, model: Model) -> np.ndarray:
         """The saturated model's parameters in each segment."""
-        spread = self.spread(model.members)
-        return self.layout.neutral + np.einsum("spz,z->sp", spread[:, :, : len(model.z)], model.z)
+        z = np.zeros(SLOTS)
+        z[: len(model.z)] = model.z
+        return np.asarray(self.affine(model.members)(jnp.asarray(z)))
 
     def residual_rms(self, model: Model) -> np.ndarray:
         """Root mean square of the residuals of each channel in units of its noise, NaN where not measured."""
@@ -211,11 +218,6 @@ class Workbench:
             return np.sqrt(
                 (residual**2 * seen).sum((0, 1)) / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan)
             )
-
-    def promise(self, model: Model) -> float:
-        """Cost that the next Gauss-Newton step promises."""
-        out = self.refine(model, max_steps=1).refined
-        return np.inf if out is None else float(out.cost - out.promised)
 
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.
@@ -230,7 +232,7 @@ class Workbench:
                 low, high = suspect.effect.plausible.get(name, (-np.inf, np.inf))
                 if not low <= value <= high:
                     return False
-        plant_of, own = self.problem(model.members).plant_of, float(self.vehicle.body.matrix[0, 0])
+        plant_of, own = self._problem.plant_of, float(self.vehicle.body.matrix[0, 0])
         for theta in np.unique(self.theta(model), axis=0):
             plant = plant_of(jnp.asarray(theta), jnp.asarray(0))
             drive, rigid = plant.drive, np.asarray(plant.load.rigid)
@@ -251,7 +253,6 @@ class Workbench:
             members=(*model.members, member),
             z=np.concatenate([model.z, value]),
             cost=np.inf,
-            refined=None,
         )
 
     def with_other(self, model: Model, which: int, member: Member, value: np.ndarray) -> Model:
@@ -259,14 +260,12 @@ class Workbench:
         where = self.slices(model.members)[which]
         members = tuple(member if i == which else m for i, m in enumerate(model.members))
         z = np.concatenate([model.z[: where.start], value, model.z[where.stop :]])
-        return dataclasses.replace(model, members=members, z=z, cost=np.inf, refined=None)
+        return dataclasses.replace(model, members=members, z=z, cost=np.inf)
 
     def without_member(self, model: Model, which: int) -> Model:
         where = self.slices(model.members)[which]
         members = tuple(m for i, m in enumerate(model.members) if i != which)
-        return dataclasses.replace(
-            model, members=members, z=np.delete(model.z, where), cost=np.inf, refined=None
-        )
+        return dataclasses.replace(model, members=members, z=np.delete(model.z, where), cost=np.inf)
 
     def screen(self, model: Model) -> Reduced:
         """Reduced statistics of every parameter of the catalogue at the model, then of members that begin."""
@@ -275,23 +274,28 @@ class Workbench:
         return Reduced(whole.chi2, whole.g[:, :n], whole.h[:, :n, :n])
 
     def screen_with_knots(self, model: Model) -> Reduced:
-        """Those of `screen`, then of a free wrench on the hull in each of `knots` parts of a window."""
-        spread = self.spread(model.members)
-        theta = self.theta(model)
-        size = self.layout.size
-        out = np.zeros((SEGMENTS, size, size + BEGUN))
-        out[:, :, :size] = np.eye(size)
+        """Those of `screen`, then of a free wrench on the hull in each of `knots` parts of a window.
+
+        The last one is kept: screening and missing wrench are commonly asked of the same model.
+        """
+        if self._screened is not None and self._screened[0] is model:
+            return self._screened[1]
+        size, own = self.layout.size, self.affine(model.members)
+        columns = np.zeros((size, size + BEGUN))
+        columns[:, :size] = np.eye(size)
+        acts = np.ones((SEGMENTS, size + BEGUN))
         at = size
         for member, where in zip(model.members, self.slices(model.members), strict=True):
             if member.since is not None:
                 width = where.stop - where.start
-                out[:, :, at : at + width] = spread[:, :, where]
+                columns[:, at : at + width] = own.columns[:, where]
+                acts[:, at : at + width] = own.acts[:, where]
                 at += width
-        stats = _linearise(
-            self.problem(model.members), jnp.asarray(theta), jnp.asarray(out), model.delta, self.knots
-        )
-        chi2, g, h = (np.asarray(a)[: self.count] for a in stats.reduced())
-        return Reduced(chi2, g, h)
+        affine = Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
+        stats = _linearise(self.problem(model.members), affine, model.delta, self.knots)
+        whole = Reduced(*(np.asarray(a)[: self.count] for a in stats.reduced()))
+        self._screened = (model, whole)
+        return whole
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns (in the screening's order) that the model already has; prior precision; z."""
@@ -321,8 +325,8 @@ def _residuals(problem, theta, delta):
 
 
 @eqx.filter_jit
-def _linearise(problem, theta, spread, delta, knots: int):
-    return linearise(problem, theta, spread, delta, knots)
+def _linearise(problem, affine, delta, knots: int):
+    return linearise(problem, affine, delta, knots)
 
 
 @dataclasses.dataclass(frozen=True)

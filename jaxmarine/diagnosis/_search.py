@@ -1,7 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from ._score import Reduced, savings, solve, t_value
 SHORTLIST = 8
 # Leading suspects that are refitted with a beginning too.
 BEGUN = 3
+# Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
+# of what the best saves. They end where a step promises less than this share of the chi-square.
+FEW_STEPS, STEPS, HOPEFUL, ROUGH = 5, 12, 0.5, 1e-4
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -120,16 +123,30 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
-        promised = [bench.promise(bench.with_member(model, Member(i), value)) for value in values]
+        probed = [bench.refine(bench.with_member(model, Member(i), value), 1) for value in values]
+        promised = [one.promised for one in probed]
         if 2 * (model.cost - min(promised)) > 0.2 * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
     return out
 
 
-def _trial(bench: Workbench, model: Model, member: Member, value: np.ndarray | None = None) -> Trial:
-    start = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
-    fitted = bench.refine(bench.with_member(model, member, start), max_steps=12, rtol=1e-4)
-    return Trial(member, fitted, 2 * (model.cost - fitted.cost))
+def _trials(
+    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
+) -> list[Trial]:
+    """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
+    trials = []
+    for member, value in starts:
+        value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
+        fitted = bench.refine(bench.with_member(model, member, value), FEW_STEPS, ROUGH)
+        trials.append(Trial(member, fitted, 2 * (model.cost - fitted.cost)))
+    trials = [t for t in trials if np.isfinite(t.saved)]
+    hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
+    for i, trial in enumerate(trials):
+        more = trial.model.cost - trial.model.promised
+        if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
+            fitted = bench.refine(trial.model, STEPS, ROUGH)
+            trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
+    return [t for t in trials if bench.sound(t.model)]
 
 
 def penalty(bench: Workbench, member: Member) -> float:
@@ -193,14 +210,12 @@ def search(
     while len(model.members) < MOST:
         progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
         ranked, begun = shortlist(bench, model, stats)
-        trials = [_trial(bench, model, member) for member, _ in ranked[:SHORTLIST]]
-        trials = [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
-        trials += [_trial(bench, model, member) for member in _begun(begun, trials)]
-        best = max([t.saved for t in trials if np.isfinite(t.saved)], default=0.0)
+        trials = _trials(bench, model, [(member, None) for member, _ in ranked[:SHORTLIST]])
+        trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
+        best = max([t.saved for t in trials], default=0.0)
         if best > PROBED:
             progress(f"round {len(rounds) + 1}: refitting the best suspects")
-            trials += [_trial(bench, model, member, value) for member, value in probes(bench, model, best)]
-        trials = [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+            trials += _trials(bench, model, probes(bench, model, best))
         trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
         if not trials:
             break

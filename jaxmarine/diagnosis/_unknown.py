@@ -13,6 +13,7 @@ from jaxtyping import Float
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
 from ._score import blocks, solve, t_value
+from ._signals import Signals
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
 SIGMAS = 3.0
@@ -24,8 +25,6 @@ BUMPS = 16
 # Pull to zero of a regressor's coefficient, relative to what the data say of it.
 RIDGE = 1e-3
 
-Signals = dict[str, Float[np.ndarray, "windows knots"]]
-
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
@@ -33,7 +32,7 @@ class Dependence:
 
     - `saved`: chi-square saved on left-out windows; `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
-    - `features`: the regressors' values at the knots; `wrench`: on the axis, as regressed on other windows.
+    - `features`: the regressors' values at the knots.
     """
 
     axis: int
@@ -41,7 +40,6 @@ class Dependence:
     tied: tuple[str, ...]
     saved: float
     features: Float[np.ndarray, "windows knots features"]
-    wrench: Float[np.ndarray, "windows knots"]
 
     @property
     def dof(self) -> str:
@@ -105,13 +103,14 @@ class _Ledger:
 
     def __init__(self, k: Knots):
         self.k = k
-        shape = (*k.t.shape, 6)
+        shape = (*k.places.t.shape, 6)
         missing = missing_wrench(k)
         self.y = np.nan_to_num(missing.wrench.reshape(shape))
         variance = np.nan_to_num(missing.std.reshape(shape), nan=1.0) ** 2
         # A knot that its window hardly determines counts little, one that it knows well not without limit.
         self.weight = 1.0 / (variance + np.median(variance, axis=(0, 1)))
         self.known = np.zeros(shape)
+        self._constants: dict[int, np.ndarray] = {}
         n = k.width
         self.g, self.h = k.stats.g[:, n:], k.stats.h[:, n:, n:]
 
@@ -126,15 +125,20 @@ class _Ledger:
 
     def saved(self, axis: int, values: np.ndarray) -> Float[np.ndarray, " windows"]:
         """Chi-square saved on each window, beyond a constant, by regressors fitted on the others."""
-        constant = self.wrench(axis, values[..., :0])
-        return self.chi2(axis, constant) - self.chi2(axis, self.wrench(axis, values))
+        return self._constant(axis) - self.chi2(axis, self.wrench(axis, values))
+
+    def _constant(self, axis: int) -> Float[np.ndarray, " windows"]:
+        if axis not in self._constants:
+            self._constants[axis] = self.chi2(axis, self.wrench(axis, np.zeros((*self.y.shape[:2], 0))))
+        return self._constants[axis]
 
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
+        self._constants.clear()
 
 
 def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
-    signals = ledger.k.signals
+    signals = ledger.k.places.signals
 
     def saved(names: tuple[str, ...]) -> np.ndarray:
         return ledger.saved(axis, features(names, signals))
@@ -185,7 +189,7 @@ def dependences(
     ledger = _Ledger(k)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
-    enough = 2 * phi * np.log(len(k.signals) ** 2 * len(left)) + 10.0
+    enough = 2 * phi * np.log(len(k.places.signals) ** 2 * len(left)) + 10.0
     while left:
         trials = {axis: _best_signals(ledger, axis) for axis in left}
         axis = max(trials, key=lambda a: trials[a][1].sum())
@@ -197,10 +201,9 @@ def dependences(
         left.remove(axis)
         if t_value(gain) < SIGMAS or not _causal(ledger, axis, names, gain, undisturbed):
             continue
-        values = features(names, k.signals)
-        wrench = ledger.wrench(axis, values)
-        found.append(Dependence(axis, names, tied, float(gain.sum()), values, wrench))
-        ledger.add(axis, wrench)
+        values = features(names, k.places.signals)
+        found.append(Dependence(axis, names, tied, float(gain.sum()), values))
+        ledger.add(axis, ledger.wrench(axis, values))
     return tuple(found)
 
 
@@ -210,7 +213,7 @@ def _causal(
     """Whether a dependence also shows on velocities that no disturbance has moved."""
     if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
         return True
-    saved = ledger.saved(axis, features(names, ledger.k.signals | undisturbed))
+    saved = ledger.saved(axis, features(names, ledger.k.places.signals | undisturbed))
     return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 
@@ -222,7 +225,7 @@ def cost_of_removal(
     A true cause costs the same in both; one that only stood in for an unknown dependence costs little
     once that dependence may act for itself.
     """
-    whole = np.zeros((*k.t.shape, 6, 0))
+    whole = np.zeros((*k.places.t.shape, 6, 0))
     for one in found:
         whole = np.concatenate([whole, on_axis(one.axis, one.features)], axis=-1)
     out = []

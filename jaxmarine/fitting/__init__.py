@@ -19,6 +19,9 @@ from ._least_squares import (
 from ._levenberg_marquardt import Restarts as Restarts
 from ._levenberg_marquardt import levenberg_marquardt as levenberg_marquardt
 from ._linearise import (
+    Affine as Affine,
+)
+from ._linearise import (
     Problem as Problem,
 )
 from ._linearise import (

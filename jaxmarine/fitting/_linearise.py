@@ -44,7 +44,6 @@ class Problem(eqx.Module):
     """Residuals of windows as a function of parameters.
 
     - `plant_of(theta, segment)`: the plant of a segment from its parameter vector.
-    - `theta`: reference parameters of each segment; `spread`: the affine map, theta + spread @ z.
     - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
     - `accelerations`: whether any are measured.
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
@@ -56,6 +55,24 @@ class Problem(eqx.Module):
     start_precision: Float[Array, "12"]
     accelerations: bool = eqx.field(static=True)
     split: int | Int[Array, ""] = 1
+
+
+class Affine(eqx.Module):
+    """From z to the parameters of each segment's plant: theta + columns @ (acts * z).
+
+    `acts` says which z act in a segment. One matrix for all segments costs one product per step of a log.
+    """
+
+    theta: Float[Array, "segments parameters"]
+    columns: Float[Array, "parameters z"]
+    acts: Float[Array, "segments z"]
+
+    def __call__(self, z: Float[Array, " z"]) -> Float[Array, "segments parameters"]:
+        return self.theta + (self.acts * z[None]) @ self.columns.T
+
+    def at(self, z: Float[Array, " z"]) -> "Affine":
+        """The same map seen from z."""
+        return Affine(self(z), self.columns, self.acts)
 
 
 def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
@@ -123,11 +140,11 @@ def _pick(tree, index):
     return jax.tree.map(lambda a: a[index], tree)
 
 
-def _contract(by_theta, spread, segment):
-    """Derivatives with respect to z from those with respect to theta: [steps, rows, z]."""
-    out = by_theta @ spread[0]
-    for s in range(1, spread.shape[0]):
-        out = jnp.where((segment == s)[:, None, None], by_theta @ spread[s], out)
+def _contract(by_constants, slopes, segment):
+    """Derivatives with respect to z from those with respect to a segment's constants: [steps, rows, z]."""
+    out = by_constants @ slopes[0]
+    for s in range(1, slopes.shape[0]):
+        out = jnp.where((segment == s)[:, None, None], by_constants @ slopes[s], out)
     return out
 
 
@@ -149,15 +166,25 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     serves all thrusters; `slopes` are the constants' derivatives [segments, thrusters, z].
     """
     leaves, structure = jax.tree.flatten(drives)
-    units = np.eye(len(leaves) * leaves[0].shape[0]).reshape(-1, len(leaves), leaves[0].shape[0], 1)
-    basis = [jnp.broadcast_to(units[:, i], (len(units), *leaf.shape)) for i, leaf in enumerate(leaves)]
+    unit = np.eye(len(leaves))
 
     def along(tangent):
         return jax.jvp(lambda d: _drives(problem, d), (drives,), (tangent,))[1]
 
-    out = jax.vmap(along)(jax.tree.unflatten(structure, basis))
-    slope = jnp.stack(jax.tree.leaves(slopes)).reshape(-1, *jax.tree.leaves(slopes)[0].shape[1:])
-    return tuple(jnp.einsum("kgst,ktz->gstz", values, slope) for values in (out.mean, out.instant))
+    def one(s, out):
+        """With what the constants of one segment add."""
+        here = (jnp.arange(leaves[0].shape[0]) == s).astype(leaves[0].dtype)
+        shape = (len(unit), *leaves[0].shape)
+        basis = [jnp.broadcast_to(jnp.outer(row, here)[..., None], shape) for row in unit]
+        values = jax.vmap(along)(jax.tree.unflatten(structure, basis))
+        slope = jnp.stack([leaf[s] for leaf in jax.tree.leaves(slopes)])
+        return tuple(
+            old + jnp.einsum("kgst,ktz->gstz", new, slope)
+            for old, new in zip(out, (values.mean, values.instant), strict=True)
+        )
+
+    nothing = jnp.zeros((*problem.records.commands.shape, jax.tree.leaves(slopes)[0].shape[-1]))
+    return jax.lax.fori_loop(0, problem.records.segment.max() + 1, one, (nothing, nothing))
 
 
 def _memory(problem: Problem, plants: Plant):
@@ -271,17 +298,18 @@ def _chain(plant: Plant) -> _Chain:
     return _Chain(sensors, plant.memory_lag() if plant.has_memory else jnp.zeros(0))
 
 
-def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statistics:
+def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statistics:
     """Statistics of all windows at z = 0.
 
-    - `theta` [segments, parameters], `spread` [segments, parameters, z], `delta` [windows, 12].
+    - `delta` [windows, 12]: changes of the windows' initial states.
     - `knots`: adds, behind z, a free wrench on the hull that is constant over each of so many equal parts
       of a window: columns knot by knot, six axes each. Whatever acts on the hull is a sum of these.
 
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    given = spread.shape[-1]
+    theta, acts = affine.theta, affine.acts
+    given = acts.shape[-1]
     count = given + 6 * knots
     steps = problem.windows.step.shape[1]
     part = jax.nn.one_hot(jnp.arange(steps) * knots // steps, knots)
@@ -292,7 +320,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
     def slope(of):
         """Derivatives of a plant's constants with respect to z, stacked along segments."""
         by_theta = jax.vmap(jax.jacfwd(lambda p, s: of(problem.plant_of(p, s))))(theta, segments)
-        return jax.tree.map(lambda a: jnp.einsum("s...p,spz->s...z", a, spread), by_theta)
+        return jax.tree.map(lambda a: jnp.einsum("s...p,pz,sz->s...z", a, affine.columns, acts), by_theta)
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
@@ -318,7 +346,7 @@ def linearise(problem: Problem, theta, spread, delta, knots: int = 0) -> Statist
     def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
         nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
-        by_z = _contract(by_theta, spread, segment) + by_thrust @ d_thrust
+        by_z = by_theta @ affine.columns * acts[segment][:, None, :] + by_thrust @ d_thrust
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
         nu_z = -inverse @ by_z

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ._linearise import Problem, Statistics, linearise
+from ._linearise import Affine, Problem, Statistics, linearise
 
 
 class Task(eqx.Module):
@@ -25,8 +25,7 @@ class Task(eqx.Module):
     """
 
     problem: Problem
-    theta: Float[Array, "segments parameters"]
-    spread: Float[Array, "segments parameters z"]
+    affine: Affine
     precision: Float[Array, " z"]
     mean: Float[Array, " z"]
 
@@ -37,7 +36,7 @@ Unknowns = tuple[Float[Array, " z"], Float[Array, "windows 12"]]
 def residual_statistics(y: Unknowns, task: Task) -> tuple[Float[Array, ""], Statistics]:
     """Half the chi-square with the prior, and the statistics of the windows."""
     z, delta = y
-    stats = linearise(task.problem, task.theta + task.spread @ z, task.spread, delta)
+    stats = linearise(task.problem, task.affine.at(z), delta)
     off = z - task.mean
     return 0.5 * (stats.chi2.sum() + (task.precision * off * off).sum()), stats
 

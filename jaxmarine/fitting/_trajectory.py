@@ -13,7 +13,7 @@ from ..simulation import gates, substeps
 from ..vehicle import Vehicle
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Problem, start_precision
+from ._linearise import Affine, Problem, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
@@ -88,8 +88,11 @@ def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, h
     )
     return Task(
         problem,
-        jnp.tile(freed.start[None], (count, 1)),
-        jnp.tile(jnp.asarray(units.map)[None], (count, 1, 1)),
+        Affine(
+            jnp.tile(freed.start[None], (count, 1)),
+            jnp.asarray(units.map),
+            jnp.ones((count, units.map.shape[1])),
+        ),
         jnp.asarray(units.precision),
         jnp.zeros(len(units.precision)),
     )
