@@ -1,0 +1,84 @@
+"""The measured boat: the script's quick run, and the effects that it adds to the catalogue."""
+
+import json
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from experiments import measured_usv as usv
+from jaxmarine.effects import CATALOGUE, Motion
+
+
+def _motion(nu, command=(0.0, 0.0), psi: float = 0.0) -> Motion:
+    """The boat on heading `psi` in still water."""
+    turn = jnp.array([[np.cos(psi), -np.sin(psi), 0.0], [np.sin(psi), np.cos(psi), 0.0], [0.0, 0.0, 1.0]])
+    nu = jnp.asarray(nu)
+    return Motion(
+        position=jnp.zeros(3),
+        rotation=turn,
+        nu=nu,
+        nu_r=nu,
+        lagged=jnp.zeros(0),
+        t=jnp.zeros(()),
+        command=jnp.asarray(command),
+    )
+
+
+def test_propellers_lose_to_the_flow_where_they_are():
+    loss = usv.AdvanceLoss(jnp.array(10.0))
+    # Each command of 0.5 at 0.8 m/s loses 10 * 0.5 * 0.8 = 4 N, ahead as well as astern.
+    for command in (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5):
+        np.testing.assert_allclose(
+            loss(_motion([0.8, 0, 0, 0, 0, 0], command)), [-8, 0, 0, 0, 0, 0], atol=1e-12
+        )
+    # In a turn to starboard the port propeller advances, 0.205 m off the middle: 2 * 5 * 0.205² N m.
+    turning = loss(_motion([0, 0, 0, 0, 0, 1.0], (0.5, 0.5)))
+    np.testing.assert_allclose(turning, [0, 0, 0, 0, 0, -0.42025], atol=1e-12)
+    # A port propeller alone pulls the bow to port by what it loses ahead.
+    alone = loss(_motion([1.0, 0, 0, 0, 0, 0], (0.5, 0.0)))
+    np.testing.assert_allclose(alone, [-5, 0, 0, 0, 0, -5 * 0.205], atol=1e-12)
+
+
+def test_turning_at_speed_is_braked_and_the_wind_pushes_along_its_heading():
+    lift = usv.TurnLift(jnp.array(2.0), jnp.array(3.0))
+    for u in 0.5, -0.5:
+        np.testing.assert_allclose(
+            lift(_motion([u, 0, 0, 0, 0, 0.4])), [0, -2 * u * 0.4, 0, 0, 0, -3 * 0.5 * 0.4], atol=1e-12
+        )
+    wind = usv.SteadyWind(jnp.array(3.0), jnp.array(4.0))
+    for psi, push in (0.0, 3.0), (np.pi / 2, 4.0), (np.pi, -3.0), (np.arctan2(4, 3), 5.0):
+        np.testing.assert_allclose(
+            wind(_motion(np.zeros(6), psi=psi)), [push, 0, 0, 0, 0, 0], rtol=0, atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("effect", usv.OWN)
+def test_what_the_script_adds_does_nothing_at_its_neutral_value(effect):
+    craft = jm.load_vehicle(usv.HERE / "vtec_s3.toml")
+    moving = _motion([0.8, 0.1, 0, 0, 0, 0.5], (0.5, -0.3), psi=1.0)
+    np.testing.assert_array_equal(effect.neutral(craft)(moving), np.zeros(6))
+
+
+def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, tmp_path, monkeypatch):
+    data = shared / "data" / "vtec-s3-usv"
+    if not data.is_dir():
+        pytest.skip("the measured runs of ../shared/data/vtec-s3-usv are not on this machine")
+    monkeypatch.setattr(sys, "argv", ["measured_usv", "--data", str(data), "--out", str(tmp_path), "--quick"])
+    usv.main()
+
+    results = json.loads((tmp_path / "results.json").read_text())
+    fitted, published = (np.array(results["scored_rms"][name]) for name in ("fitted", "vtec_s3.toml"))
+    assert results["scored_on"] == "train"
+    # Sway is hardly more than its start and the disturbances; surge and yaw are what thrust moves.
+    assert (fitted < [0.05, 0.055, 0.09]).all()
+    assert (fitted < np.array([0.3, 0.85, 0.5]) * published).all()
+
+    # The stored file is that boat: it predicts the same, and its inertia is positive.
+    boat = jm.load_vehicle(tmp_path / "fitted.toml", (*CATALOGUE, *usv.OWN))
+    runs = usv.read(data, "train", boat)[-2:]
+    np.testing.assert_allclose(usv.rms(usv.errors(boat, runs)), fitted, rtol=1e-6)
+    assert np.linalg.eigvalsh(boat.mass_matrix[np.ix_(usv.AXES, usv.AXES)]).min() > 0
+    assert (tmp_path / "test.png").stat().st_size > 10_000
