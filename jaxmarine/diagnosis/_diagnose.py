@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
@@ -75,9 +76,8 @@ def diagnose(
             "use a longer test log."
         )
     progress("fitting the vehicle file")
+    bench = _rescaled(bench)
     base = bench.refine(bench.start())
-    rescaled = _rescaled(bench, base, vehicle)
-    bench, base = (bench, base) if rescaled is bench else (rescaled, rescaled.refine(base))
     found = search(bench, base, progress)
     progress("settling what was found")
     model, dense = _settled(bench, found)
@@ -168,21 +168,41 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
     return Workbench(vehicle, families, layout, data, noise, split)
 
 
-def _rescaled(bench: Workbench, model: Model, vehicle: Vehicle) -> Workbench:
+def _rescaled(bench: Workbench) -> Workbench:
     """The workbench with the noise of sensors that the file does not state raised to the residual.
 
     A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
-    would outweigh all others.
+    would outweigh all others. From what a channel changes by within a window, which is the most that it
+    can be missed by, down to the residual of the file as it is, and of the file recalibrated.
     """
-    stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
+    stated = {channel for kind, _ in bench.vehicle.sensors for channel in SENSORS[kind]}
     free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
     if not free:
         return bench
-    noise = bench.noise.copy()
-    rms = bench.residual_rms(model)
-    noise[free] *= np.maximum(1.0, np.nan_to_num(rms[free], nan=1.0))
-    data = cut(vehicle, bench.data.logs, noise, bench.data.length)
-    return Workbench(vehicle, bench.families, bench.layout, data, noise, bench.split)
+    own = bench.noise[free]
+    seen = np.asarray(bench.data.windows.weight) > 0
+    values = np.ma.masked_array(bench.data.windows.measured, ~seen)
+    most = np.fmax(own, values.std(axis=1).mean(axis=0).filled(0.0)[free])
+    bench = _weighted(bench, free, most)
+    for model in (bench.frozen(bench.start()), bench.start()):
+        missed = (bench.residual_rms(bench.refine(model)) * bench.noise)[free]
+        bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
+    # Such residuals are alike from sample to sample: each weighs as little against the priors as their
+    # scores scatter.
+    model = bench.refine(bench.start())
+    alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
+    return _weighted(bench, free, alike * bench.noise[free])
+
+
+def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:
+    """The workbench with another noise of some channels."""
+    now = bench.noise.copy()
+    now[channels] = noise
+    windows = bench.data.windows
+    weight = np.asarray(windows.weight) * np.nan_to_num(bench.noise / now, nan=1.0)
+    windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
+    data = dataclasses.replace(bench.data, windows=windows)
+    return Workbench(bench.vehicle, bench.families, bench.layout, data, now, bench.split)
 
 
 # --- settling ------------------------------------------------------------------------------------

@@ -210,20 +210,22 @@ class Workbench:
         return np.asarray(self.affine(model.members)(jnp.asarray(z)))
 
     def residual_rms(self, model: Model) -> np.ndarray:
-        """Root mean square of the residuals of each channel in units of its noise, NaN where not measured."""
+        """Root mean square residual of each channel in the median window, in units of its noise.
+
+        NaN where a channel was not measured.
+        """
         problem = self.problem(model.members)
         residual = np.asarray(_residuals(problem, jnp.asarray(self.theta(model)), model.delta))
-        seen = np.asarray(problem.windows.weight) > 0
-        with np.errstate(invalid="ignore"):
-            return np.sqrt(
-                (residual**2 * seen).sum((0, 1)) / np.where(seen.any((0, 1)), seen.sum((0, 1)), np.nan)
-            )
+        missing = np.asarray(problem.windows.weight) == 0
+        squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
+        return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
 
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.
 
-        In their effects' ranges, no negative delays, lags and dead zones, a positive definite mass, and at
-        most half of the vehicle's own mass more or less.
+        In their effects' ranges, no negative delays, lags and dead zones, a positive definite mass, at most
+        half of the vehicle's own mass more or less, and on each axis, added mass included, a third to three
+        times the inertia of the file.
         """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
             suspect = self.layout.suspects[member.suspect]
@@ -240,6 +242,9 @@ class Workbench:
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
                 return False
             free = np.flatnonzero(self.vehicle.free)
+            ratio = (np.diag(mass) / np.diag(np.asarray(self.vehicle.mass_matrix)))[free]
+            if ratio.min() < 1 / 3 or ratio.max() > 3:
+                return False
             if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
                 return False
             if float(jnp.min(jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation]))) < -1e-9:

@@ -98,19 +98,22 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         cost = jnp.where(better, cost, state.cost)
 
         z, delta = y
-        chi2, g, h = stats.reduced()
+        # Initial states are damped too: a step of theirs that overshoots could not be shortened otherwise.
+        softened = jax.vmap(lambda h: h + damping * jnp.diag(jnp.diag(h)))(stats.h_xx)
+        _, g, h = eqx.tree_at(lambda s: s.h_xx, stats, softened).reduced()
         prior = args.precision * (z - args.mean)
-        g = g.sum(0) + prior
         h = h.sum(0) + jnp.diag(args.precision)
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
-        damped = h + damping * jnp.diag(scale)
-        d_z = -jax.scipy.linalg.solve(damped, g, assume_a="pos")
+        d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
         d_x = -jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(
-            stats.h_xx, stats.g_x + jnp.einsum("wxz,z->wx", stats.h_xz, d_z)
+            softened, stats.g_x + stats.h_xz @ d_z
         )
-        off = z - args.mean
-        least = 0.5 * (chi2.sum() + (args.precision * off * off).sum())
-        predicted = cost - (least + g @ d_z + 0.5 * d_z @ h @ d_z)
+        # Decrease by the quadratic model itself, which knows no damping.
+        bend = jnp.einsum("wx,wxy,wy->", d_x, stats.h_xx, d_x) + d_z @ (
+            stats.h_zz.sum(0) @ d_z + args.precision * d_z
+        )
+        slope = (stats.g_x * d_x).sum() + (stats.g_z.sum(0) + prior) @ d_z
+        predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, stats.h_xz, d_z) + 0.5 * bend)
         small = 2 * predicted < self.atol + options["rtol"] * 2 * cost
         lost = ~jnp.isfinite(predicted) | (damping > 1e8)
         return (
