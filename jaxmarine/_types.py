@@ -12,7 +12,7 @@
 
 from typing import TypeAlias
 
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 
@@ -53,7 +53,4 @@ Wrench: TypeAlias = Float[Array, "6"]  # X Y Z [N], K M N [N m]; body axes at `o
 Matrix3: TypeAlias = Float[Array, "3 3"]
 Matrix6: TypeAlias = Float[Array, "6 6"]
 Times: TypeAlias = Float[Array, " times"]
-Channels: TypeAlias = Float[Array, "times 18"]  # in the order of CHANNELS
 Commands: TypeAlias = Float[Array, "times thrusters"]
-Index: TypeAlias = Int[Array, ""]
-Mask: TypeAlias = Bool[Array, " times"]

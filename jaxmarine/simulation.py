@@ -148,12 +148,12 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
 
 
 @eqx.filter_jit
-def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split: int):
+def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split):
     plants = jax.vmap(vehicle.plant)(acting)
     over, at = inputs(jax.tree.map(lambda a: a[segment], plants), t, commands, wrench)
 
     def step(state, now):
-        index, over, at, dt = now
+        index, over, at, dt, split = now
         plant = jax.tree.map(lambda a: a[index], plants)
         shown = plant.readings(state, plant.acceleration(state, at))
         if solver is None:
@@ -173,7 +173,7 @@ def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wren
             after = jax.tree.map(lambda a: a[0], after)
         return after, (state, shown)
 
-    _, (states, channels) = jax.lax.scan(step, start, (segment, over, at, step_lengths(t)))
+    _, (states, channels) = jax.lax.scan(step, start, (segment, over, at, step_lengths(t), split))
     return Trajectory(t, channels, states)
 
 
@@ -195,7 +195,9 @@ def simulate(
     count = len(vehicle.thruster_names)
     commands = jnp.zeros((len(log.t), count)) if log.commands is None else jnp.asarray(log.commands)
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
-    split = substeps(vehicle, log.dt)
+    # A gap in the log is one long hold.
+    lengths = np.asarray(step_lengths(jnp.asarray(log.t)))
+    split = np.ceil(substeps(vehicle, log.dt) * np.maximum(lengths / log.dt - 0.01, 1.0)).astype(int)
     return _roll_out(
         vehicle,
         jnp.asarray(acting),
@@ -205,5 +207,5 @@ def simulate(
         commands,
         wrench,
         solver,
-        split,
+        jnp.asarray(split),
     )

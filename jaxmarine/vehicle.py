@@ -247,14 +247,17 @@ class Plant(eqx.Module):
             lag = jnp.where(memory.gain != 0.0, memory.time_constant, lag)
         return jnp.maximum(lag, 1e-2)
 
+    def relative(self, attitude: Quaternion, velocity: Velocity) -> Velocity:
+        """Velocity through the water, body axes, zero on locked axes [m/s, rad/s]."""
+        flow = apply(rotation(attitude).T, self.water)
+        return (velocity - jnp.concatenate([flow, jnp.zeros(3)])) * self.free
+
     def _motion(self, state: State, drive: Input) -> Motion:
-        turn = rotation(state.attitude)
-        relative = state.velocity - jnp.concatenate([apply(turn.T, self.water), jnp.zeros(3)])
         return Motion(
             position=state.position,
-            rotation=turn,
+            rotation=rotation(state.attitude),
             nu=state.velocity,
-            nu_r=relative * self.free,
+            nu_r=self.relative(state.attitude, state.velocity),
             lagged=state.memory,
             t=drive.t,
             command=drive.command,
@@ -295,7 +298,7 @@ class Plant(eqx.Module):
     def rates(self, state: State, drive: Input) -> State:
         """Time derivative of the state."""
         if self.has_memory:
-            relative = self._motion(state, drive).nu_r
+            relative = self.relative(state.attitude, state.velocity)
             memory = (relative - state.memory) / self.memory_lag()
         else:
             memory = jnp.zeros_like(state.memory)

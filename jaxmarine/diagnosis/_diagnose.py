@@ -32,6 +32,7 @@ WINDOW = 4.0  # [s]
 FEWEST_WINDOWS = 16
 SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
+FEWEST = 6  # windows of a diagnosis
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where an unknown dependence alone leaves less than this share of what they leave.
 STAND_IN = 0.35
@@ -75,6 +76,10 @@ def diagnose(
             f"{test.name}: is shorter than a prediction with its run-in ({HORIZON + 4.0:g} s); "
             "use a longer test log."
         )
+    if not (np.isfinite(test.channels).any(axis=0) & np.isfinite(bench.noise)).any():
+        raise InputError(
+            f"{test.name}: measures nothing that {logs[0].name} measures; use a test log with its channels."
+        )
     progress("fitting the vehicle file")
     bench = _rescaled(bench)
     base = bench.refine(bench.start())
@@ -100,7 +105,7 @@ def diagnose(
         extended = extended.place(*placed)
         final = dataclasses.replace(final, vehicle=vehicle.place(*placed))
     progress("predicting the test log")
-    measured = _measured_gain(bench, model, final, test, changed=extended is not vehicle)
+    measured = _measured_gain(bench, model, final, test, changed=bool(model.members or unknown))
     findings = _findings(bench, now, found.rounds) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
@@ -164,6 +169,12 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
     noise = noise_of(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
     data = cut(vehicle, logs, noise, _window(logs, window))
+    if data.windows.count < FEWEST:
+        names = ", ".join(log.name for log in logs)
+        raise InputError(
+            f"{names}: gives {data.windows.count} windows of {data.length:g} s, a diagnosis needs {FEWEST}; "
+            "use a longer log or a shorter window."
+        )
     families, layout = saturate(vehicle, catalogue)
     return Workbench(vehicle, families, layout, data, noise, split)
 
@@ -398,6 +409,7 @@ def _covariance(bench: Workbench, now: _Judged) -> np.ndarray:
 def _findings(bench: Workbench, now: _Judged, rounds: Sequence[Round]) -> tuple[Finding, ...]:
     model, phi = now.model, now.phi
     std = np.sqrt(np.diag(_covariance(bench, now)))
+    named = {member.suspect for member in model.members}
     out = []
     for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
         suspect = bench.layout.suspects[member.suspect]
@@ -422,27 +434,29 @@ def _findings(bench: Workbench, now: _Judged, rounds: Sequence[Round]) -> tuple[
                 since_log=None if since is None else bench.data.logs[since.log].name,
                 parameters=parameters,
                 log_evidence=float(evidence),
-                alternatives=_alternatives(bench, member, phi, rounds, float(evidence)),
+                alternatives=_alternatives(bench, member, named, phi, rounds, float(evidence)),
             )
         )
     return tuple(out)
 
 
 def _alternatives(
-    bench: Workbench, member: Member, phi: float, rounds: Sequence[Round], evidence: float
+    bench: Workbench, member: Member, named: set[int], phi: float, rounds: Sequence[Round], evidence: float
 ) -> tuple[Alternative, ...]:
-    """What else was weighed in the round in which the member was taken."""
+    """What else was weighed in the round in which the member was taken, less what is named itself."""
     pairs = [
         (r.trials, t) for r in rounds if r.accepted for t in r.trials if t.member.suspect == member.suspect
     ]
     if not pairs:
         return ()
-    trials, own = pairs[0]
-    out = []
+    # The round that it won, if it did not join in the place of that round's winner.
+    trials, own = next((pair for pair in pairs if pair[0][0] is pair[1]), pairs[0])
+    out, said = [], set(named)
     for trial in trials:
         suspect = bench.layout.suspects[trial.member.suspect]
-        if trial.member.suspect == member.suspect:
+        if trial.member.suspect in said:
             continue
+        said.add(trial.member.suspect)
         behind = 0.5 * (
             (own.saved - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, own.member)
         )

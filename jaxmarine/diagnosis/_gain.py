@@ -1,6 +1,7 @@
 """What an extension buys: open-loop predictions of a log that was not fitted."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -111,7 +112,7 @@ def gain(
     noise: np.ndarray,
     held_out: bool,
 ) -> tuple[Gain, Predictions]:
-    """The gain with a bootstrap interval over starts (in blocks, since neighbours overlap)."""
+    """The gain with a bootstrap interval over starts in blocks as long as a prediction."""
     errors = [_errors(p[:, begin:].copy(), measured[:, begin:]) for p in (before, after)]
     scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
 
@@ -124,7 +125,8 @@ def gain(
 
     starts = len(times)
     rng = np.random.default_rng(0)
-    block = max(1, min(5, starts // 4))
+    stride = float(np.median(np.diff(times[:, 0]))) if starts > 1 else HORIZON
+    block = max(1, min(math.ceil(HORIZON / stride), starts // 3))
     firsts = rng.integers(0, starts, (RESAMPLES, -(-starts // block)))
     drawn = (firsts[:, :, None] + np.arange(block)) % starts
     ratios = [ratio(index) for index in drawn.reshape(RESAMPLES, -1)]

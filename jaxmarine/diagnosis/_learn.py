@@ -31,7 +31,7 @@ def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
     h, g = k.stats.h[:, n:, n:], k.stats.g[:, n:]
     eigen, vectors = np.linalg.eigh(h)
     # Directions that a window does not see carry no residual.
-    root = np.sqrt(np.maximum(eigen, 1e-9 * eigen[:, -1:]))
+    root = np.sqrt(np.maximum(eigen, 1e-9 * np.maximum(eigen[:, -1:], 1e-6 * eigen.max())))
     a = np.swapaxes(vectors * root[:, None, :], 1, 2)
     b = np.einsum("wkr,wk->wr", vectors, g) / root
     return a, b

@@ -40,10 +40,6 @@ class Layout:
     def size(self) -> int:
         return len(self.neutral)
 
-    def index(self, label: str) -> int:
-        """The suspect of that label."""
-        return next(i for i, suspect in enumerate(self.suspects) if suspect.label == label)
-
     def neutral_of(self, i: int) -> np.ndarray:
         """Neutral values of a suspect's parameters, in the order of its slots."""
         return np.array([self.neutral[np.flatnonzero(column)[0]] for column in self.columns[i].T])

@@ -12,8 +12,10 @@ from ._score import Reduced, savings, solve, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
-# Leading suspects that are refitted with a beginning too.
-BEGUN = 3
+# Leading suspects that are refitted with a beginning too, and suspects that may win a round where the best
+# rests on few windows.
+WITH_BEGINNING = 3
+CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
 # of what the best saves. They end where a step promises less than this share of the chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 5, 12, 0.5, 1e-4
@@ -81,7 +83,7 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
         information = np.einsum("ij,wik,kj->j", combined, stats.h, combined, optimize=True)
         full = np.einsum("ij,wik,kj->j", own, stats.h, own, optimize=True)
         usable = information > 1e-6 * full + 1e-12
-        ratios += ((scores - scores.mean(0)) ** 2).sum(0)[usable].__truediv__(information[usable]).tolist()
+        ratios += (((scores - scores.mean(0)) ** 2).sum(0)[usable] / information[usable]).tolist()
     return max(1.0, float(np.median(ratios)))
 
 
@@ -223,7 +225,7 @@ def search(
         # begins: then those that save nearly as much are looked at too.
         rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
         accepted, after, phi = False, stats, 1.0
-        for trial in [trials[0], *rivals[: BEGUN - 1]]:
+        for trial in [trials[0], *rivals[: CHANCES - 1]]:
             exact = bench.refine(trial.model)
             if not (np.isfinite(exact.cost) and bench.sound(exact)):
                 continue
@@ -243,7 +245,7 @@ def search(
 
 def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:
     """The leading suspects once more, acting from the time that suits them best."""
-    leading = sorted(trials, key=lambda t: -t.saved)[:BEGUN]
+    leading = sorted(trials, key=lambda t: -t.saved)[:WITH_BEGINNING]
     tried = {t.member for t in trials}
     wanted = [begun[t.member.suspect] for t in leading if t.member.suspect in begun]
     return [member for member in dict.fromkeys(wanted) if member not in tried]

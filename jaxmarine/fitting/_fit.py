@@ -72,7 +72,7 @@ class Fit:
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name, such as `damping.linear[surge]`."""
-        return next(p for p in self.parameters if p.name == name)
+        return {p.name: p for p in self.parameters}[name]
 
     def __repr__(self) -> str:
         lines = [*_table(self.parameters), *_undetermined(self), *_coverage(self), _ending(self)]

@@ -188,12 +188,20 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
 
 
 def _memory(problem: Problem, plants: Plant):
-    """Fluid memory at every step of the logs, from the smoothed velocity, and its slope per lag."""
+    """Fluid memory at every step of the logs, from the smoothed motion, and its slope per lag."""
     records = problem.records
     if not plants.has_memory:
         nothing = jnp.zeros((*records.t.shape, 0))
         return nothing, nothing
     lags = jax.vmap(lambda plant: plant.memory_lag())(plants)
+
+    def through_water(attitude, velocity, segment):
+        return _pick(plants, segment).relative(attitude, velocity)
+
+    # Taken as measured: what a change of the current does to the past of a window is left out.
+    relative = jax.lax.stop_gradient(
+        jax.vmap(jax.vmap(through_water))(records.attitude, records.velocity, records.segment)
+    )
 
     def filtered(lags):
         def one(dt, velocity, segment):
@@ -206,7 +214,7 @@ def _memory(problem: Problem, plants: Plant):
 
             return jax.lax.scan(step, velocity[0], (decay, between))[1]
 
-        return jax.vmap(one)(records.dt, records.velocity, records.segment)
+        return jax.vmap(one)(records.dt, relative, records.segment)
 
     return jax.jvp(filtered, (lags,), (jnp.ones_like(lags),))
 

@@ -95,9 +95,9 @@ def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.nd
         dataclasses.replace(log, channels=np.where(np.isfinite(noise), log.channels, np.nan)) for log in logs
     ]
     vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
-    # Windows play no part here; two in each log are the least that a cut makes.
+    # Windows play no part here; four in each log leave the two that a cut asks for.
     shortest = min(len(log.t) * log.dt for log in logs)
-    data = cut(vehicle, logs, noise, shortest / 2, segments=acting.of_samples)
+    data = cut(vehicle, logs, noise, shortest / 4, segments=acting.of_samples)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
         data.records,

@@ -21,13 +21,14 @@ ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
 class Records(eqx.Module):
     """The whole logs on one time grid each, padded at the end to a common length.
 
-    `velocity` is the smoothed body velocity, from which lagged states at a window's start come.
+    `attitude` and `velocity` (body axes) are smoothed: lagged states at a window's start come from them.
     """
 
     t: Float[Array, "logs steps"]
     dt: Float[Array, "logs steps"]
     commands: Float[Array, "logs steps thrusters"]
     wrench: Float[Array, "logs steps 6"]
+    attitude: Float[Array, "logs steps 4"]
     velocity: Float[Array, "logs steps 6"]
     segment: Int[Array, "logs steps"]
 
@@ -113,7 +114,8 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
     """
     if log.commands is None or not vehicle.thruster_names:
         return 0
-    memory = float(np.max(4.0 * np.asarray(vehicle.thrusters.lag) + np.asarray(vehicle.thrusters.delay)))
+    drive = vehicle.plant().drive
+    memory = float(jnp.max(4.0 * drive.lag + drive.delay))
     return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))
 
 
@@ -127,17 +129,23 @@ def cut(
 ) -> Cut:
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
 
-    The first begins where the thrusters have forgotten what they were told before the log.
+    The first begins where the thrusters have forgotten what they were told before the log. None spans a
+    gap of more than five samples.
 
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
     """
     longest = max(len(log.t) for log in logs)
     count = len(vehicle.thruster_names)
-    records = {name: [] for name in ("t", "dt", "commands", "wrench", "velocity", "segment")}
+    records = {name: [] for name in ("t", "dt", "commands", "wrench", "attitude", "velocity", "segment")}
     parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
     starts = []
     dt = float(np.median([log.dt for log in logs]))
+    for log in logs:
+        if not 0.8 < log.dt / dt < 1.25:
+            raise InputError(
+                f"{log.name}: has a sample every {log.dt:g} s, the others every {dt:g} s; resample it."
+            )
     size = max(4, round(length / dt))
     jump = size if stride is None else max(1, round(stride / dt))
     free = np.concatenate([vehicle.free] * 3).astype(bool)
@@ -159,6 +167,7 @@ def cut(
         records["dt"].append(pad(steps))
         records["commands"].append(pad(np.asarray(commands)))
         records["wrench"].append(pad(np.asarray(wrench)))
+        records["attitude"].append(pad(np.asarray(jax.vmap(from_euler)(jnp.asarray(track.attitude)))))
         records["velocity"].append(pad(track.nu))
         records["segment"].append(pad(segment))
 
@@ -170,6 +179,8 @@ def cut(
         measured = np.where(usable, log.channels, 0.0)
         for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
             here = slice(first, first + size)
+            if np.diff(t[here]).max() > 5.5 * dt:
+                continue
             parts["log"].append(g)
             parts["step"].append(np.arange(first, first + size))
             parts["measured"].append(measured[here])

@@ -43,6 +43,7 @@ def _delayed(t: Times, commands: Commands, delay: Commands) -> tuple[Commands, C
     there is that of a small positive delay. At a sample the command is a stair of the delay.
     """
     dt = step_lengths(t)
+    t = t - t[0]  # moments about the clock's zero would cancel where that is far away, as in Unix time
     times = jnp.concatenate([t, t[-1:] + dt[-1:]])
     zero = jnp.zeros((1, commands.shape[1]))
     integral = jnp.concatenate([zero, jnp.cumsum(commands * dt[:, None], axis=0)])
