@@ -66,6 +66,9 @@ START_QUADRATIC = np.diag([6.0, 150.0, 1.5])
 START_ADDED = np.diag([2.25, 20.0, 0.5])
 START_THRUST = 24.0  # [N]
 ARM = 0.205  # [m] half the published distance of the thrust lines
+KNOTS = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])  # [m/s] for left-out runs denser is no better
+START_LOG = float(np.log(8.0))  # [log of N s/m] the drag of START_LINEAR and START_QUADRATIC at 0.5 m/s
+NO_LOG = -1000.0  # its exponential is zero in floating point
 
 Errors = Float[np.ndarray, "times 3"]
 
@@ -160,7 +163,40 @@ class SteadyWind(WrenchEffect):
         return jnp.zeros(6).at[0].set(jnp.array([self.north, self.east, 0.0]) @ motion.rotation[:, 0])
 
 
-OWN = (AdvanceLoss, TurnLift, SteadyWind)
+class SurgeDrag(WrenchEffect):
+    """Surge drag of a free shape: X = -D(|u|) u, D(KNOTS[k]) = exp(log_k) in N s/m. Neutral: -1000.
+
+    D is linear between the knots and constant beyond the last, where no run says anything; astern is as
+    ahead. Being exponentials, its values are positive: the drag dissipates at every speed.
+    Source: wave resistance has humps and hollows over the Froude number (Faltinsen 2005, ch. 4), and the
+    published surge damping changes its law with the speed. The shape stands for all that goes with the
+    speed and is not in the other terms, the propellers' among it.
+    """
+
+    name = "surge_drag"
+    units = {f"log_{k}": "log of N s/m" for k in range(len(KNOTS))}
+    confused_with = ("linear_damping", "quadratic_damping")
+
+    log_drag: Float[Array, " knots"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(jnp.full(len(KNOTS), NO_LOG))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        slots = {name: (k,) for k, name in enumerate(cls.units)}
+        return (Suspect(cls, None, slots, (dict.fromkeys(slots, START_LOG),)),)
+
+    def __call__(self, motion: Motion) -> Wrench:
+        u = motion.nu_r[0]
+        drag = jnp.interp(jnp.abs(u), jnp.asarray(KNOTS), jnp.exp(self.log_drag))
+        return jnp.zeros(6).at[0].set(-drag * u)
+
+
+OWN = (AdvanceLoss, TurnLift, SteadyWind, SurgeDrag)
 
 
 # --- model ---------------------------------------------------------------------------------------
@@ -200,7 +236,7 @@ def start_of(published: jm.Vehicle) -> jm.Vehicle:
 def selected(vehicle: jm.Vehicle) -> dict[str, Any]:
     """What is fitted. The mass and the surge added mass are held: they set the scale of all forces."""
     effects: list[Any] = [placed.effect for placed in vehicle.placed]
-    lag, curve, lift, advance, turn, wind = effects
+    lag, curve, lift, advance, turn, wind, drag = effects
     return {
         "added mass": vehicle.added_mass,
         "linear damping": vehicle.damping.linear,
@@ -214,6 +250,7 @@ def selected(vehicle: jm.Vehicle) -> dict[str, Any]:
         "advance loss": advance.per_speed,
         "turn lift": (turn.Y_ur, turn.N_ur),
         "wind": (wind.north, wind.east),
+        "surge drag": drag.log_drag,
     }
 
 
@@ -231,16 +268,35 @@ PRIOR: dict[str, Any] = {
     "advance loss": np.array(10.0),
     "turn lift": tuple(map(np.array, (40.0, 3.0))),
     "wind": tuple(map(np.array, (1.0, 0.0))),
+    "surge drag": np.full(len(KNOTS), 1.0),
 }
+SURGE = np.arange(6)[:, None] + np.arange(6) == 0  # the entry of a matrix that is the file's surge damping
 
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """Which terms stay out, held within a thousandth of their width, and how wide the priors are."""
+    """Which terms stay out, held within a thousandth of their width, and how wide the priors are.
+
+    `shaped`: surge drag is `SurgeDrag` alone, otherwise the linear and quadratic damping of the file alone.
+    """
 
     name: str
     out: tuple[str, ...] = ()
     width: float = 1.0
+    shaped: bool = True
+
+    def begin(self, start: jm.Vehicle) -> jm.Vehicle:
+        """The start with the one surge drag or the other."""
+        if not self.shaped:
+            return start
+
+        def of(vehicle: jm.Vehicle) -> list[Any]:
+            parts = selected(vehicle)
+            return [parts["linear damping"], parts["quadratic damping"], parts["surge drag"]]
+
+        linear, quadratic, shape = of(start)
+        held = [jnp.where(SURGE, 0.0, linear), jnp.where(SURGE, 0.0, quadratic)]
+        return eqx.tree_at(of, start, [*held, jnp.full_like(shape, START_LOG)])
 
     def prior(self) -> dict[str, Any]:
         """Standard deviations in the structure of `selected`."""
@@ -249,7 +305,13 @@ class Candidate:
             width = self.width * (1e-3 if name in self.out else 1.0)
             return jax.tree.map(lambda std: width * std, PRIOR[name])
 
-        return {name: of(name) for name in PRIOR}
+        prior = {name: of(name) for name in PRIOR}
+        # Of the two surge drags the other one is held where it is nothing.
+        for name in ("linear damping", "quadratic damping") if self.shaped else ():
+            prior[name] = np.where(SURGE, 0.0, prior[name])
+        if not self.shaped:
+            prior["surge drag"] = 0.0 * prior["surge drag"]
+        return prior
 
 
 ADDED = ("advance loss", "turn lift", "hull lift", "wind", "curve")
@@ -261,7 +323,8 @@ CANDIDATES = (
     Candidate("no wind", ("wind",)),
     Candidate("linear thrust", ("curve",)),
     Candidate("arms and directions as published", ("arms", "toe")),
-    Candidate("terms of the vehicle file only", ADDED),
+    Candidate("linear and quadratic surge drag", shaped=False),
+    Candidate("terms of the vehicle file only", ADDED, shaped=False),
 )
 
 
@@ -281,7 +344,7 @@ def fitted(start: jm.Vehicle, runs: Sequence[jm.Log], candidate: Candidate, step
     """
     shifted = [run.between(run.t[0] + WINDOW / 2, np.inf) for run in runs]
     fit = jm.fit(
-        start,
+        candidate.begin(start),
         [*runs, *shifted],
         selected,
         starts="measured",
@@ -458,7 +521,7 @@ def identified(data: Path, out: Path, quick: bool) -> tuple[jm.Fit, dict]:
     published = jm.load_vehicle(HERE / "vtec_s3.toml")
     start = start_of(published)
     train = read(data, "train", published)
-    train, steps = (train[-2:], 5) if quick else (train, 25)
+    train, steps = (train[-2:], 10) if quick else (train, 25)
     candidate, scores = (CANDIDATES[0], {}) if quick else chosen(start, train, steps)
     fit = fitted(start, train, candidate, steps)
     print(fit, flush=True)

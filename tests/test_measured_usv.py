@@ -55,6 +55,30 @@ def test_turning_at_speed_is_braked_and_the_wind_pushes_along_its_heading():
         )
 
 
+def test_surge_drag_is_linear_between_its_knots_and_constant_beyond_them():
+    drag = usv.SurgeDrag(jnp.log(jnp.array([5.0, 2.0, 1.0, 8.0, 6.0, 7.0])))
+    # D(0.1) = (5 + 2) / 2, D(0.5) = (1 + 8) / 2, D(0.75) = 8 - 0.75 * 2; beyond 1 m/s it is 7.
+    for u, force in (0.1, -0.35), (0.5, -2.25), (0.75, -4.875), (-0.75, 4.875), (1.5, -10.5):
+        np.testing.assert_allclose(drag(_motion([u, 0.1, 0, 0, 0, 0.4])), [force, 0, 0, 0, 0, 0], rtol=1e-6)
+
+
+def test_a_candidate_has_one_surge_drag_only():
+    start = usv.start_of(jm.load_vehicle(usv.HERE / "vtec_s3.toml"))
+    moving = _motion([0.5, 0, 0, 0, 0, 0])
+    for candidate in usv.CANDIDATES:
+        vehicle, prior = candidate.begin(start), candidate.prior()
+        shape = vehicle.placed[-1].effect
+        assert isinstance(shape, usv.SurgeDrag)
+        linear, quadratic = (vehicle.damping.linear[0, 0], vehicle.damping.quadratic[0, 0])
+        # At 0.5 m/s both are the same 4 N.
+        total = float(0.5 * linear + 0.25 * quadratic - shape(moving)[0])
+        assert total == pytest.approx(4.0)
+        free = [bool(prior[f"{name} damping"][0, 0] > 0) for name in ("linear", "quadratic")]
+        assert free == 2 * [not candidate.shaped]
+        assert (prior["surge drag"] > 0).all() == candidate.shaped
+        assert (linear == 0) == candidate.shaped
+
+
 @pytest.mark.parametrize("effect", usv.OWN)
 def test_what_the_script_adds_does_nothing_at_its_neutral_value(effect):
     craft = jm.load_vehicle(usv.HERE / "vtec_s3.toml")
