@@ -7,6 +7,8 @@ import functools
 import json
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,9 @@ import pytest
 import jaxmarine as jm
 from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
+from jaxmarine.diagnosis._diagnose import _alternatives
+from jaxmarine.diagnosis._model import Member, Model, Workbench
+from jaxmarine.diagnosis._search import Round, Trial
 
 # All logs are equally long, so that a vehicle's programs are compiled once.
 TRAIN, TEST = 120.0, 60.0
@@ -116,6 +121,24 @@ def test_the_extended_vehicle_loads_again_and_simulates_the_same(case, tmp_path)
     # It is another vehicle than before, by more than any noise.
     before = jm.simulate(diagnosis.vehicle, test, start).channels
     assert jnp.max(jnp.abs(before - first)) > 0.5
+
+
+def test_alternatives_are_those_of_the_round_that_was_won():
+    """A suspect that was weighed earlier too, and whose rival then is a finding itself by now."""
+    labels = ("a", "b", "c")
+    suspects = [SimpleNamespace(effect=SimpleNamespace(name=name), target=None) for name in labels]
+    bench: Any = object.__new__(Workbench)
+    bench.layout = SimpleNamespace(suspects=suspects, columns=[np.zeros((3, 1))] * 3)
+    bench.samples = 1000
+    model = Model((), np.zeros(0), jnp.zeros((0, 12)), 0.0)
+    a, b, c = (Member(i) for i in range(3))
+    rounds = (
+        Round((Trial(a, model, 9000.0), Trial(b, model, 3000.0), Trial(c, model, 10.0)), True, 1.0),
+        Round((Trial(b, model, 2500.0), Trial(c, model, 2499.0), Trial(a, model, 5.0)), True, 1.0),
+    )
+    (other,) = _alternatives(bench, b, {0, 1}, 1.0, rounds, 1200.0)
+    assert (other.effect, other.indistinguishable) == ("c", True)
+    assert other.log_evidence == pytest.approx(1199.5)
 
 
 def test_the_answer_is_strict_json_with_the_contracts_keys(tmp_path):

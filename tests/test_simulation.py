@@ -173,6 +173,31 @@ def test_a_wrench_drives_like_the_thrusters_that_make_it():
 # --- energy and symmetry ----------------------------------------------------------------------
 
 
+def test_a_gap_in_the_log_is_one_long_hold():
+    """As if the missing samples had been there, with the command of the last one before them."""
+    vehicle = packaged("tethra")
+    t = np.arange(0.0, 20.0, 0.1)
+    commands = random_commands(vehicle, len(t), 40, seed=2)
+    commands[60:140] = commands[60]
+    kept = np.r_[0:61, 140:200]
+    start = initial_state(vehicle)
+    whole = simulate(vehicle, log_of(vehicle, t, commands), start).channels[kept]
+    gappy = simulate(vehicle, log_of(vehicle, t[kept], commands[kept]), start).channels
+    # Both are of the fourth order in steps of about 0.1 s; the accelerations last jumped 8 s apart.
+    assert np.allclose(gappy, whole, atol=1e-3)
+
+
+def test_a_clock_may_count_from_1970():
+    """Times of 1.7e9 s are rounded to 2.4e-7 s, and nothing else changes: a delay neither."""
+    vehicle = packaged("tethra")
+    vehicle = vehicle.place(placed(vehicle, blind.Effect("input_delay", None, {"delay": 0.25})))
+    commands = random_commands(vehicle, len(T), 10, seed=3)
+    start = initial_state(vehicle)
+    plain = simulate(vehicle, log_of(vehicle, T, commands), start).channels
+    late = simulate(vehicle, log_of(vehicle, T + 1.7e9, commands), start).channels
+    assert np.allclose(late, plain, atol=1e-4)
+
+
 @pytest.mark.parametrize("name", PACKAGED)
 def test_energy_never_grows_in_still_water_without_thrust(name):
     vehicle = packaged(name)
