@@ -76,7 +76,21 @@ Errors = Float[np.ndarray, "times 3"]
 # --- effects that the catalogue lacks ------------------------------------------------------------
 
 
-class AdvanceLoss(WrenchEffect):
+class BoatEffect(WrenchEffect):
+    """A wrench of scalar numbers that are zero where it changes nothing; one suspect has them all."""
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(**{name: jnp.zeros(()) for name in cls.units})
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return (Suspect(cls, None, {name: (i,) for i, name in enumerate(cls.units)}),)
+
+
+class AdvanceLoss(BoatEffect):
     """Thrust lost to the flow past a propeller: `per_speed` |c| u_c, with u_c the flow along it. Neutral: 0.
 
     Per thruster, c its command, u_c = u - y r at its place (0, y). Unlike `inflow_loss`, where thrust falls
@@ -90,23 +104,13 @@ class AdvanceLoss(WrenchEffect):
 
     per_speed: Scalar
 
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(jnp.zeros(()))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return (Suspect(cls, None, {"per_speed": (0,)}),)
-
     def __call__(self, motion: Motion) -> Wrench:
         y = jnp.array([-ARM, ARM])  # port, starboard
         lost = self.per_speed * jnp.abs(motion.command) * (motion.nu_r[0] - y * motion.nu_r[5])
         return jnp.zeros(6).at[0].set(-lost.sum()).at[5].set((y * lost).sum())
 
 
-class TurnLift(WrenchEffect):
+class TurnLift(BoatEffect):
     """Lift of a hull that turns at speed: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
 
     Source: the published model scales Y_r and N_r with the speed; Fossen (2021), sec. 6.5.
@@ -119,22 +123,12 @@ class TurnLift(WrenchEffect):
     Y_ur: Scalar
     N_ur: Scalar
 
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(jnp.zeros(()), jnp.zeros(()))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return (Suspect(cls, None, {"Y_ur": (0,), "N_ur": (1,)}),)
-
     def __call__(self, motion: Motion) -> Wrench:
         u, r = motion.nu_r[0], motion.nu_r[5]
         return jnp.zeros(6).at[1].set(-self.Y_ur * u * r).at[5].set(-self.N_ur * jnp.abs(u) * r)
 
 
-class SteadyWind(WrenchEffect):
+class SteadyWind(BoatEffect):
     """A push in surge that is constant in earth axes: X = north cos(psi) + east sin(psi). Neutral: 0.
 
     Source: Fossen (2021), sec. 10.1, for a wind far faster than the boat. Sway is left out: its push is
@@ -147,16 +141,6 @@ class SteadyWind(WrenchEffect):
 
     north: Scalar
     east: Scalar
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(jnp.zeros(()), jnp.zeros(()))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return (Suspect(cls, None, {"north": (0,), "east": (1,)}),)
 
     def __call__(self, motion: Motion) -> Wrench:
         # The bow's direction is the first column of the rotation to the world.

@@ -170,9 +170,6 @@ def test_a_wrench_drives_like_the_thrusters_that_make_it():
     assert np.allclose(by_thrust.channels, by_wrench.channels, rtol=0, atol=1e-12)
 
 
-# --- energy and symmetry ----------------------------------------------------------------------
-
-
 def test_a_gap_in_the_log_is_one_long_hold():
     """As if the missing samples had been there, with the command of the last one before them."""
     vehicle = packaged("tethra")
@@ -196,6 +193,9 @@ def test_a_clock_may_count_from_1970():
     plain = simulate(vehicle, log_of(vehicle, T, commands), start).channels
     late = simulate(vehicle, log_of(vehicle, T + 1.7e9, commands), start).channels
     assert np.allclose(late, plain, atol=1e-4)
+
+
+# --- energy and symmetry ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", PACKAGED)

@@ -483,15 +483,13 @@ def _weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
     out = []
     for trial in one.trials:
         since = trial.member.since
-        words = [] if since is None else [f"since {since.time:g} s"]
-        words += ["taken"] if one.accepted and trial is one.trials[0] else []
         out.append(
             Weighed(
                 label=bench.layout.suspects[trial.member.suspect].label,
                 log_evidence=float(0.5 * (trial.saved / one.phi - penalty(bench, trial.member))),
                 saved_chi2=float(trial.saved),
                 parameters=trial.parameters(bench),
-                remark=", ".join(words),
+                since=None if since is None else since.time,
             )
         )
     return tuple(out)

@@ -1,6 +1,7 @@
 """The model during the search: coefficients of the file under a prior, and the members found so far."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -25,7 +26,7 @@ from ..logs import Log
 from ..vehicle import Vehicle
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
-from ._signals import places
+from ._signals import Places, places
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
 SLOTS = 44
@@ -101,7 +102,6 @@ class Workbench:
         self.window_log = np.asarray(data.windows.log)
         self.room = Room.of(data.records, data.windows)
         self.knots = max(2, round(data.length / KNOT))
-        self.places = places(vehicle, data, self.knots)
         self._screened: tuple[Model, Reduced] | None = None
         records, windows = self.room.filled(data.records, data.windows)
         self._problem = Problem(
@@ -112,6 +112,11 @@ class Workbench:
             bool((np.asarray(windows.weight)[..., 12:] > 0).any()),
             jnp.asarray(split),
         )
+
+    @functools.cached_property
+    def places(self) -> Places:
+        """Of the knots; logs are smoothed for them, which a workbench that only refines can do without."""
+        return places(self.vehicle, self.data, self.knots)
 
     # --- the affine map of z -------------------------------------------------------------------
 
@@ -159,10 +164,9 @@ class Workbench:
 
     def problem(self, members: Sequence[Member]) -> Problem:
         """The windows' residuals, with the segments that the members' beginnings make."""
-        logs, steps = self._problem.records.t.shape
+        steps = self._problem.records.t.shape[1]
         rows = [self.passed(members, log, i) for i, log in enumerate(self.data.logs)]
         rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
-        rows += [rows[-1]] * (logs - len(rows))
         return eqx.tree_at(lambda p: p.records.segment, self._problem, jnp.asarray(np.array(rows)))
 
     def _precision(self, model: Model) -> np.ndarray:

@@ -74,13 +74,13 @@ class Gain:
 
 @dataclasses.dataclass(frozen=True)
 class Weighed:
-    """One line of a round's ranking: a suspect, what it would save, and why it was (not) taken."""
+    """One line of a round's ranking: a suspect and what it would save."""
 
     label: str
     log_evidence: float
     saved_chi2: float  # over all windows, after refitting everything else
     parameters: dict[str, float]
-    remark: str = ""
+    since: float | None = None  # where it was weighed from a beginning on [s]
 
 
 @dataclasses.dataclass(frozen=True)

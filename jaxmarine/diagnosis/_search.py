@@ -87,10 +87,8 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     return max(1.0, float(np.median(ratios)))
 
 
-def shortlist(
-    bench: Workbench, model: Model, stats: Reduced
-) -> tuple[list[tuple[Member, float]], dict[int, Member]]:
-    """The suspects worth refitting with what the linearisation says they would save, the best first.
+def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Member], dict[int, Member]]:
+    """The suspects worth refitting, the one first that would save most by the linearisation.
 
     And each suspect with the beginning that suits it best, whether that is worth a refit or not.
     """
@@ -107,7 +105,7 @@ def shortlist(
             begun[i] = Member(i, Beginning(int(bench.window_log[w]), float(bench.data.starts[w])))
             if row[w] > row[0] + max(40.0, 0.2 * row[0]):
                 out.append((begun[i], float(row[w])))
-    return sorted(out, key=lambda item: -item[1]), begun
+    return [member for member, _ in sorted(out, key=lambda item: -item[1])], begun
 
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
@@ -212,7 +210,7 @@ def search(
     while len(model.members) < MOST:
         progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
         ranked, begun = shortlist(bench, model, stats)
-        trials = _trials(bench, model, [(member, None) for member, _ in ranked[:SHORTLIST]])
+        trials = _trials(bench, model, [(member, None) for member in ranked[:SHORTLIST]])
         trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
         best = max([t.saved for t in trials], default=0.0)
         if best > PROBED:

@@ -110,7 +110,7 @@ class Room:
 def _settled(vehicle: Vehicle, log: Log) -> int:
     """The first sample at which what the thrusters were told before the log no longer acts.
 
-    Four lags and the delay of the vehicle file; at most a tenth of the log.
+    Four lags and the delay, placed effects included; at most a tenth of the log.
     """
     if log.commands is None or not vehicle.thruster_names:
         return 0

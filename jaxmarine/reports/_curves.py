@@ -270,23 +270,22 @@ def beginnings(diagnosis: Diagnosis, log: int) -> tuple[float, ...]:
     )
 
 
-def taken_labels(diagnosis: Diagnosis) -> tuple[str | None, ...]:
-    """Per round of the search, the label of the finding that it led to."""
+def taken_suspects(diagnosis: Diagnosis) -> tuple[Weighed | None, ...]:
+    """Per round of the search, the suspect that became a finding, at its best."""
     left = [finding.label for finding in diagnosis.findings]
-    out: list[str | None] = []
+    out: list[Weighed | None] = []
     for weighed in diagnosis.rounds:
-        names = {suspect.label for suspect in weighed}
-        taken = next((label for label in left if label in names), None)
+        best = {suspect.label: suspect for suspect in reversed(weighed)}
+        taken = next((label for label in left if label in best), None)
         if taken is not None:
             left.remove(taken)
-        out.append(taken)
+        out.append(None if taken is None else best[taken])
     return tuple(out)
 
 
-def leading(suspects: tuple[Weighed, ...], taken: str | None, limit: int) -> tuple[Weighed, ...]:
+def leading(suspects: tuple[Weighed, ...], taken: Weighed | None, limit: int) -> tuple[Weighed, ...]:
     """The first `limit` of a round; the one that was taken is always among them."""
     head = suspects[:limit]
-    if taken is None or any(suspect.label == taken for suspect in head):
+    if taken is None or any(suspect is taken for suspect in head):
         return head
-    rest = next(suspect for suspect in suspects if suspect.label == taken)
-    return (*head[:-1], rest)
+    return (*head[:-1], taken)

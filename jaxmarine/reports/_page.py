@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 from ..diagnosis._result import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from . import _words as words
 from ._causes import kind, title, what
-from ._curves import compared, leading, measured_channels, taken_labels
+from ._curves import compared, leading, measured_channels, taken_suspects
 from ._figures import (
     Chart,
     error_chart,
@@ -162,7 +162,7 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
     """Per round: its number, how many suspects it had, and the first few of them."""
     out = []
     for i, (suspects, taken) in enumerate(
-        zip(diagnosis.rounds, taken_labels(diagnosis), strict=True), start=1
+        zip(diagnosis.rounds, taken_suspects(diagnosis), strict=True), start=1
     ):
         shown = leading(suspects, taken, _SHOWN)
         sizes = [s.log_evidence for s in shown if math.isfinite(s.log_evidence)]
@@ -172,16 +172,17 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
     return out
 
 
-def _row(suspect: Weighed, taken: str | None, largest: float) -> Row:
+def _row(suspect: Weighed, taken: Weighed | None, largest: float) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
     values = words.values(suspect.label, suspect.parameters)
+    begins = "" if suspect.since is None else f"since {number(suspect.since)} s"
     return Row(
         title=title(suspect.label),
         evidence=number(evidence),
         width=round(100 * min(max(part, 0.0), 1.0), 1),
-        taken=suspect.label == taken,
-        remark="; ".join(text for text in (values, suspect.remark) if text),
+        taken=suspect is taken,
+        remark="; ".join(text for text in (values, begins) if text),
     )
 
 

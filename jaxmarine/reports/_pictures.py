@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._types import CHANNELS
-from ..diagnosis._result import Diagnosis
+from ..diagnosis._result import Diagnosis, Weighed
 from ._causes import title
 from ._curves import (
     CHANNEL_TITLES,
@@ -22,7 +22,7 @@ from ._curves import (
     lacking,
     leading,
     shown_unit,
-    taken_labels,
+    taken_suspects,
     telling_channel,
     typical_starts,
 )
@@ -103,7 +103,7 @@ def _log_starts(diagnosis: Diagnosis) -> list[float]:
 def _evidence(diagnosis: Diagnosis) -> Figure | None:
     rounds = [
         (leading(suspects, taken, 8), taken)
-        for suspects, taken in zip(diagnosis.rounds, taken_labels(diagnosis), strict=True)
+        for suspects, taken in zip(diagnosis.rounds, taken_suspects(diagnosis), strict=True)
         if suspects
     ]
     if not rounds:
@@ -113,13 +113,13 @@ def _evidence(diagnosis: Diagnosis) -> Figure | None:
     axes = figure.subplots(len(rounds), 1, squeeze=False, height_ratios=sizes)[:, 0]
     for i, (ax, (suspects, taken)) in enumerate(zip(axes, rounds, strict=True)):
         values = np.nan_to_num(finite(np.array([s.log_evidence for s in suspects])))
-        colours = [_COLOURS["after"] if s.label == taken else "#b8bec6" for s in suspects]
+        colours = [_COLOURS["after"] if s is taken else "#b8bec6" for s in suspects]
         bars = ax.barh(np.arange(len(suspects)), values, color=colours)
         ax.bar_label(bars, [number(s.log_evidence) for s in suspects], padding=3, fontsize=8)
-        ax.set_yticks(np.arange(len(suspects)), [_plain(title(s.label)) for s in suspects])
+        ax.set_yticks(np.arange(len(suspects)), [_named(s) for s in suspects])
         ax.invert_yaxis()
         # A round in which nothing counts must not look like one in which much does.
-        ax.set_xlim(min(0.0, 1.1 * values.min()), 1.12 * max(values.max(), VERY_STRONG))
+        ax.set_xlim(min(0.0, 1.25 * values.min()), 1.12 * max(values.max(), VERY_STRONG))
         ax.set(title=f"Round {i + 1}", xlabel="log evidence")
         _bare(ax)
     return figure
@@ -163,6 +163,12 @@ def _grid(count: int, columns: int) -> tuple[Figure, list[Axes]]:
 def _bare(ax: Axes) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     ax.title.set_fontsize(10)
+
+
+def _named(suspect: Weighed) -> str:
+    """A suspect with the time from which it was weighed, where it was not weighed throughout."""
+    begins = "" if suspect.since is None else f", since {number(suspect.since)} s"
+    return _plain(title(suspect.label) + begins)
 
 
 def _plain(text: str) -> str:
