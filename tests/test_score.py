@@ -1,11 +1,19 @@
 """The sums that decide a verdict, against dense least squares and against numbers worked by hand."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxmarine._types import CHANNELS
-from jaxmarine.diagnosis._gain import gain
+from jaxmarine.diagnosis._diagnose import _workbench
+from jaxmarine.diagnosis._gain import Candidate, gain
+from jaxmarine.diagnosis._gain import predictions as predicted
+from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._score import Reduced, savings
+from jaxmarine.effects import ThrusterGain, Waves
+from jaxmarine.fitting import Room, cut, noise_of
+from jaxmarine.vehicle import Placed
+from tests.boats import boat, record, steps
 
 WINDOWS, ROWS, KNOWN, OWN = 12, 30, 3, 2
 
@@ -95,3 +103,54 @@ def test_the_interval_of_the_gain_knows_that_predictions_overlap(monkeypatch):
         inside += low < truth < high
     # Some 80 % with six independent stretches; starts drawn one by one would give less than half.
     assert inside >= 26
+
+
+def test_a_wave_is_met_again_at_another_phase():
+    """The period is that of training; the phase of a later log is read from what lies before each start."""
+    craft = boat()
+
+    def rocked(phase: float):
+        wave = Waves(jnp.asarray(12.0), jnp.asarray(5.0), jnp.asarray(3.0), jnp.asarray(phase))
+        return craft.place(Placed(wave))
+
+    log = record(rocked(2.0), steps(400))
+    noise = noise_of(craft, [log])
+    data = cut(craft, [log], noise, 4.0)
+    candidates = [
+        Candidate(vehicle, (), np.zeros((1, 0)), np.ones((1, len(vehicle.placed))))
+        for vehicle in (rocked(2.0), rocked(-1.1), craft)
+    ]
+    room = Room.of(data.records, data.windows)
+    times, (right, turned, without), measured, begin = predicted(
+        candidates, log, noise, 4.0, 1, np.zeros(len(log.t), int), room
+    )
+
+    def ratio(before: np.ndarray, after: np.ndarray) -> float:
+        return gain(times, before, after, measured, begin, noise, True)[0].ratio
+
+    # Whether the file's phase is right or not, it is forgotten.
+    assert ratio(right, turned) == pytest.approx(1.0, abs=1e-3)
+    assert ratio(without, turned) < 0.5
+
+
+def test_beginnings_of_the_file_and_of_members_cut_the_logs_together():
+    """Two logs; the file's effect begins in the second, a member in the first, the test comes last."""
+    craft = boat()
+    fouled = Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0])), "port", 6.0, "second")
+    logs = [record(craft, steps(200), name=name) for name in ("first", "second")]
+    bench = _workbench(craft.place(fouled), logs, (ThrusterGain,), 1.5)
+    members = (Member(0, Beginning(0, 12.0)),)
+    found = bench.stretches(members)
+    pairs = [list(zip(found.passed[rows], found.gates[rows, 0], strict=True)) for rows in found.of_samples]
+    assert pairs[0] == [(0, 0.0)] * 120 + [(1, 0.0)] * 80
+    assert pairs[1] == [(1, 0.0)] * 60 + [(1, 1.0)] * 140
+    # What has begun goes on in a log that comes after; a training log met again keeps its own.
+    later = bench.stretches(members, record(craft, steps(50, seed=1), name="third"))
+    assert set(zip(later.passed[later.of_samples[0]], later.gates[later.of_samples[0], 0], strict=True)) == {
+        (1, 1.0)
+    }
+    again = bench.stretches(members, logs[0])
+    assert np.array_equal(again.passed[again.of_samples[0]], found.passed[found.of_samples[0]])
+    # The member's numbers act from its beginning on only.
+    acts = np.asarray(bench.affine(members).acts)[:, bench.slices(members)[0]]
+    assert [acts[row, 0] for row in range(len(found.passed))] == list(found.passed)

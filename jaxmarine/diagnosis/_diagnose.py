@@ -19,7 +19,7 @@ from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
 from ._knots import Knots, knots, missing_wrench
 from ._learn import learn
-from ._model import Beginning, Member, Model, Workbench
+from ._model import Beginning, Member, Model, Workbench, filled
 from ._result import Alternative, Diagnosis, Finding, Parameter, Recalibrated, Verdict, Weighed
 from ._saturated import saturate
 from ._score import Reduced, solve
@@ -97,15 +97,14 @@ def diagnose(
     model = now.model
 
     extended = _extended(bench, model, dense)
-    final = Candidate(vehicle, bench.families, bench.theta(model))
+    terms: tuple[Placed, ...] = ()
     if unknown:
         progress("learning what is missing")
-        terms = learn(now.knots, unknown, vehicle.thruster_names)
-        placed = tuple(Placed(term, term.target) for term in terms)
-        extended = extended.place(*placed)
-        final = dataclasses.replace(final, vehicle=vehicle.place(*placed))
+        learned = learn(now.knots, unknown, vehicle.thruster_names)
+        terms = tuple(Placed(term, term.target) for term in learned)
+    extended = extended.place(*terms)
     progress("predicting the test log")
-    measured = _measured_gain(bench, model, final, test, changed=bool(model.members or unknown))
+    measured = _measured_gain(bench, model, terms, test)
     findings = _findings(bench, now, found.rounds) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
@@ -505,22 +504,20 @@ def _recalibrated(bench: Workbench, now: _Judged) -> tuple[Recalibrated, ...]:
     )
 
 
-def _same(a: Log, b: Log) -> bool:
-    return a.channels.shape == b.channels.shape and bool(
-        np.array_equal(a.channels, b.channels, equal_nan=True)
-    )
-
-
-def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, changed: bool):
-    """The gain on the test log, which comes last in time; unless it is a training log itself."""
-    logs = bench.data.logs
-    twin = next((i for i, log in enumerate(logs) if _same(log, test)), None)
-    passed = bench.passed(model.members, test, len(logs) if twin is None else twin)
-    segments = final.theta.shape[0]
-    before = Candidate(bench.vehicle, bench.families, np.tile(bench.layout.neutral, (segments, 1)))
+def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):
+    """The gain on the test log of the members and of terms that were learned."""
+    stretches = bench.stretches(model.members, test)
+    gates = filled(stretches.gates)
+    neutral = np.tile(bench.layout.neutral, (len(gates), 1))
+    candidates = [Candidate(bench.vehicle, bench.families, neutral, gates)]
+    if model.members or terms:
+        vehicle = bench.vehicle.place(*terms)
+        gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
+        theta, phases = bench.theta(model, stretches), bench.phases(model.members)
+        candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
-    candidates = [before, final] if changed else [before]
     times, predicted, measured, begin = predictions(
-        candidates, test, bench.noise, run_in, bench.split, passed, bench.room
+        candidates, test, bench.noise, run_in, bench.split, stretches.of_samples[0], bench.room
     )
-    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, twin is None)
+    held_out = bench.twin(test) is None
+    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, held_out)
