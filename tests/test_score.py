@@ -9,7 +9,7 @@ from jaxmarine.diagnosis._diagnose import _workbench
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
-from jaxmarine.diagnosis._score import Reduced, savings
+from jaxmarine.diagnosis._score import Reduced, savings, step_with
 from jaxmarine.effects import ThrusterGain, Waves
 from jaxmarine.fitting import Room, cut, noise_of
 from jaxmarine.vehicle import Placed
@@ -61,6 +61,20 @@ def test_savings_are_those_of_dense_least_squares():
             # The ridge of 1e-10 that keeps the elimination regular is all that differs.
             assert table[i, begin] == pytest.approx(before - after, rel=1e-6)
     assert table[1, 0] > 10 * table[0, 0]
+
+
+def test_a_step_with_entries_held_is_least_in_the_others():
+    """Against the Karush-Kuhn-Tucker equations, on columns in units a million apart."""
+    rng = np.random.default_rng(1)
+    units = np.array([1.0, 1e3, 1e-3, 1.0, 10.0])
+    rows = rng.normal(size=(40, 5)) * units
+    h, g = rows.T @ rows, rows.T @ rng.normal(size=40)
+    held, values = np.array([1, 4]), np.array([2e-4, -0.03])
+    pick = np.eye(5)[held]
+    multipliers = np.block([[h, pick.T], [pick, np.zeros((2, 2))]])
+    exact = np.linalg.solve(multipliers, np.concatenate([-g, values]))[:5]
+    # The ridge of 1e-10 that keeps the solve regular is all that differs.
+    assert step_with(g, h, held, values) * units == pytest.approx(exact * units, rel=1e-7)
 
 
 def predictions(starts: int, size: float, seed: int):

@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, solve, t_value
+from ._score import Reduced, savings, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
@@ -159,15 +159,9 @@ def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -
     """Chi-square lost on each window when some of z go back to zero and the rest is refitted (linearised)."""
     known, precision, z = bench.known(model)
     g, h = stats.g @ known, np.einsum("wij,ia,jb->wab", stats.h, known, known, optimize=True)
-    held = np.arange(where.start, where.stop)
-    rest = np.setdiff1d(np.arange(len(z)), held)
     total = h.sum(0) + np.diag(precision)
-    step = np.zeros(len(z))
-    step[held] = -z[held]
-    step[rest] = -solve(
-        total[np.ix_(rest, rest)],
-        (g.sum(0) + precision * z)[rest] + total[np.ix_(rest, held)] @ step[held],
-    )
+    held = np.arange(where.start, where.stop)
+    step = step_with(g.sum(0) + precision * z, total, held, -z[held])
     return 2 * g @ step + np.einsum("wab,a,b->w", h, step, step, optimize=True)
 
 
