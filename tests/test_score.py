@@ -4,13 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis._diagnose import _workbench
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._score import Reduced, savings, step_with
-from jaxmarine.effects import ThrusterGain, Waves
+from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
 from jaxmarine.fitting import Room, cut, noise_of
 from jaxmarine.vehicle import Placed
 from tests.boats import boat, record, steps
@@ -168,3 +169,22 @@ def test_beginnings_of_the_file_and_of_members_cut_the_logs_together():
     # The member's numbers act from its beginning on only.
     acts = np.asarray(bench.affine(members).acts)[:, bench.slices(members)[0]]
     assert [acts[row, 0] for row in range(len(found.passed))] == list(found.passed)
+
+
+def test_what_the_programs_have_no_room_for_is_said():
+    craft, logs = boat(), [record(boat(), steps(200), name=name) for name in ("first", "second")]
+
+    class Wide(ThrusterGain):
+        """More parameters than any diagnosis fits at once."""
+
+        @classmethod
+        def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+            del craft
+            return (Suspect(cls, None, {f"factor_{i}": (0,) for i in range(50)}),)
+
+    with pytest.raises(InputError, match=r"thruster_gain has 50 parameters, .* at most 44 at once"):
+        _workbench(craft, logs, (Wide,), 1.5)
+    half = ThrusterGain(jnp.array([0.5, 1.0, 1.0]))
+    often = craft.place(*(Placed(half, "port", since) for since in (4.0, 8.0, 12.0, 16.0)))
+    with pytest.raises(InputError, match="begin at 4 times within these logs; a diagnosis has room for 3"):
+        _workbench(often, logs[:1], (ThrusterGain,), 1.5).stretches(())

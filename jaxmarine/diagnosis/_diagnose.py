@@ -21,7 +21,7 @@ from ._gain import HORIZON, Candidate, gain, predictions
 from ._judge import Judged, judged
 from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._model import Beginning, Model, Workbench, filled
+from ._model import SLOTS, Beginning, Model, Workbench, filled
 from ._result import Diagnosis, Finding, Verdict
 from ._saturated import saturate
 from ._search import STEPS, Found, Round, dispersion, needed, penalty, search
@@ -175,7 +175,15 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
             "use a longer log or a shorter window."
         )
     families, layout = saturate(vehicle, catalogue)
-    return Workbench(vehicle, families, layout, data, noise, split)
+    bench = Workbench(vehicle, families, layout, data, noise, split)
+    room = SLOTS - len(bench.base)
+    for suspect in layout.suspects:
+        if len(suspect.slots) > room:
+            raise InputError(
+                f"Effect {suspect.label} has {len(suspect.slots)} parameters, a diagnosis of {vehicle.name} "
+                f"fits at most {room} at once; use an effect with fewer."
+            )
+    return bench
 
 
 def _stuck(bench: Workbench) -> list[str]:

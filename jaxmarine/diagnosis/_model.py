@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._errors import InputError
 from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
@@ -180,8 +181,19 @@ class Workbench:
                 passed += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
             codes.append(passed * len(own.gates) + acting)
         met, index = np.unique(np.concatenate(codes), return_inverse=True)
+        if len(met) > SEGMENTS:
+            raise InputError(
+                f"Effects of {self.vehicle.name} begin at {len(met) - 1} times within these logs; "
+                f"a diagnosis has room for {SEGMENTS - 1}: leave some of the logs out."
+            )
         ends = np.cumsum([len(code) for code in codes])[:-1]
         return Stretches(tuple(np.split(index, ends)), met // len(own.gates), own.gates[met % len(own.gates)])
+
+    def open(self, model: Model) -> list[int]:
+        """Suspects that are not in the model yet and that the programs have room for."""
+        room = SLOTS - len(model.z)
+        taken = {m.suspect for m in model.members}
+        return [i for i, c in enumerate(self.layout.columns) if i not in taken and c.shape[1] <= room]
 
     def may_begin(self, model: Model, suspect: int) -> bool:
         """Whether the programs have room for one more suspect with a beginning of its own."""

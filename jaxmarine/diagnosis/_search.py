@@ -93,8 +93,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
     And each suspect with the beginning that suits it best, whether that is worth a refit or not.
     """
     known, precision, offset = bench.known(model)
-    active = {m.suspect for m in model.members}
-    order = [i for i in range(len(bench.layout.suspects)) if i not in active]
+    order = bench.open(model)
     owns = tuple(bench.own(i) for i in order)
     table = savings(stats, known, precision, offset, owns, EARLIEST)
     out, begun = [], {}
@@ -110,10 +109,10 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
     """Suspects without a useful slope at neutral, at the start from which they promise most."""
-    active = {m.suspect for m in model.members}
     out = []
-    for i, suspect in enumerate(bench.layout.suspects):
-        if i in active or not (suspect.starts or suspect.effect is Waves):
+    for i in bench.open(model):
+        suspect = bench.layout.suspects[i]
+        if not (suspect.starts or suspect.effect is Waves):
             continue
         neutral = bench.layout.neutral_of(i)
         names = list(suspect.slots)
