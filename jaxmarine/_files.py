@@ -69,7 +69,9 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written, because {_reason(error)}; check the folder.") from error
     finally:
-        beside.unlink(missing_ok=True)
+        # The sentence above must not give way to a second failure.
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
 
 
 def validated(model: type[_Model], data: object, source: str) -> _Model:
@@ -91,7 +93,7 @@ def validated(model: type[_Model], data: object, source: str) -> _Model:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The end of a sentence about an unknown name: the nearest known ones, or all of them."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
     if near:
         return f"did you mean `{near[0]}`?"
     return f"known are {', '.join(known)}."

@@ -32,12 +32,14 @@ TrainOption = Annotated[
 ]
 ColumnsOption = Annotated[
     Path | None,
-    typer.Option("--columns", help="Map from the contract's column names to the file's (TOML)."),
+    typer.Option("--columns", help="Column map: where the file keeps each column (TOML)."),
 ]
 
 
 def _prepare() -> None:
     """Double precision, and compiled programs kept in the user's cache folder between runs."""
+    # The compiler warns of its own slowness after two minutes, in words that look like a failure.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -50,11 +52,20 @@ def _prepare() -> None:
 
 @contextmanager
 def _progress(text: str):
-    """A spinner with the stage and the time; plain silence where the output is no terminal."""
+    """A spinner with the stage and the time; a line for each stage where there is no terminal.
+
+    Those lines go where the results go: what stands on stderr is what was wrong.
+    """
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*columns, console=_err, transient=True, disable=not _err.is_terminal) as bar:
         task = bar.add_task(text)
-        yield lambda words: bar.update(task, description=words)
+
+        def tell(words: str) -> None:
+            bar.update(task, description=words)
+            if not _err.is_terminal:
+                print(f"{words} ...", flush=True)
+
+        yield tell
 
 
 @app.command(
@@ -86,7 +97,10 @@ def diagnose(
     columns_map = _columns(columns)
     logs = [read_log(path, craft, columns_map) for path in train]
     held_out = read_log(test, craft, columns_map)
-    with _progress("diagnosing") as tell:
+    _note(*logs, held_out)
+    with _progress(
+        "diagnosing; the first time for a vehicle, programs are compiled for about a minute"
+    ) as tell:
         result = run(craft, logs, held_out, window=window, progress=tell)
     _write(result, out)
 
@@ -98,6 +112,18 @@ def _folder(out: Path, make: bool = True) -> None:
         raise InputError(f"{out}: is no folder that can be written; choose another --out.")
     if make:
         out.mkdir(parents=True, exist_ok=True)
+
+
+def _file(out: Path) -> None:
+    """Checks that a result could be written, before the work is done."""
+    if out.is_dir() or not out.parent.is_dir() or not os.access(out.parent, os.W_OK):
+        raise InputError(f"{out}: is no file that can be written; choose another --out.")
+
+
+def _note(*logs) -> None:
+    """Says what reading the logs has changed or left out."""
+    for note in dict.fromkeys(note for log in logs for note in log.notes):
+        _out.print(note, markup=False, highlight=False, soft_wrap=True)
 
 
 def _columns(path: Path | None):
@@ -157,8 +183,10 @@ def simulate(
     from .simulation import simulate as run
     from .vehicle_io import load_vehicle
 
+    _file(out)
     craft = load_vehicle(vehicle)
     recorded = read_log(log, craft, _columns(columns))
+    _note(recorded)
     track = smooth_states(recorded, craft.dof)
     with _progress("simulating"):
         start = initial_state(craft, track.position[0], track.attitude[0], track.nu[0])
@@ -207,10 +235,12 @@ def fit(
     from .logs import read_log
     from .vehicle_io import load_vehicle, save_vehicle
 
+    _file(out)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
     logs = [read_log(path, craft, columns_map) for path in train]
-    with _progress("fitting"):
+    _note(*logs)
+    with _progress("fitting; the first time for a vehicle, programs are compiled for about a minute"):
         result = run(
             craft,
             logs,
@@ -246,7 +276,7 @@ def demo(
         save_vehicle(craft, out / "vehicle.toml")
         write_log(train, out / "train.csv")
         write_log(test, out / "test.csv")
-        tell("diagnosing")
+        tell("diagnosing; the first time, programs are compiled for about a minute")
         result = run(craft, train, test, progress=tell)
     _out.print("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
     _write(result, out)

@@ -1,11 +1,13 @@
 """Logs that the package makes itself: an operator at the sticks, and sensors with noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.ndimage
 from jaxtyping import Float
 
 from ._types import CHANNELS, SENSORS
-from .effects import CATALOGUE, place
+from .effects import CATALOGUE, AbstractEffect, place
 from .logs import Log
 from .simulation import initial_state, simulate
 from .vehicle import Placed, Vehicle
@@ -54,12 +56,13 @@ def hidden(
     parameters: dict[str, float],
     duration: tuple[float, float] = (180.0, 90.0),
     seed: int = 0,
+    catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
 ) -> tuple[Log, Log]:
     """A training and a test log of the vehicle with an effect in it that its file does not have.
 
-    Lengths in seconds, sampled at 10 Hz.
+    Lengths in seconds, sampled at 10 Hz. `catalogue`: where the effect is found by its name.
     """
-    suspect = suspect_named(vehicle, effect, target, CATALOGUE)
+    suspect = suspect_named(vehicle, effect, target, catalogue)
     plant = vehicle.place(Placed(place(suspect, vehicle, parameters), target))
     logs = []
     for i, (length, name) in enumerate(zip(duration, ("train.csv", "test.csv"), strict=True)):

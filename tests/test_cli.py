@@ -210,6 +210,31 @@ def test_a_log_is_not_written_where_it_cannot_be(jaxmarine, folder, out):
     assert out.split("/")[-1] in one_sentence(err)
 
 
+@pytest.mark.parametrize("command", ["simulate", "fit"])
+@pytest.mark.parametrize("out", ["nowhere/out.csv", "dive.csv/out.csv", "."])
+def test_where_a_result_cannot_be_written_is_said_before_the_work(jaxmarine, folder, command, out):
+    # A log that would be refused were it read.
+    (folder / "dive.csv").write_text("no log")
+    code, said, err = jaxmarine(*call(command, folder)[:-1], folder / out)
+    assert code == 2 and not said
+    assert one_sentence(err).endswith("is no file that can be written; choose another --out.")
+
+
+@pytest.mark.parametrize("command", ["diagnose", "fit"])
+def test_time_in_milliseconds_is_noticed(jaxmarine, folder, command):
+    spoil_log(lambda table: table.assign(t=1000 * table.t))(folder)
+    code, said, err = jaxmarine(*call(command, folder))
+    assert code == 2 and not said
+    assert "dive.csv: has a sample every 100 s" in one_sentence(err)
+
+
+def test_what_reading_a_log_left_out_is_said(jaxmarine, folder):
+    spoil_log(lambda table: table.assign(battery=11.7))(folder)
+    code, out, err = jaxmarine(*call("simulate", folder))
+    assert code == 0 and not err
+    assert "`battery`" in out
+
+
 def test_what_is_fitted_has_a_known_name(jaxmarine, folder):
     code, _, err = jaxmarine(*call("fit", folder), "--free", "colour")
     assert code == 2

@@ -24,9 +24,9 @@ from jaxmarine.diagnosis._result import (
     Recalibrated,
     Weighed,
 )
-from jaxmarine.effects import CATALOGUE
+from jaxmarine.effects import CATALOGUE, Waves
 from jaxmarine.reports import _causes, _curves, _numbers, _page, _words, _write, write_report
-from jaxmarine.vehicle import Body, Damping, Thrusters, Vehicle
+from jaxmarine.vehicle import Body, Damping, Placed, Thrusters, Vehicle
 
 PLANAR = ("surge", "sway", "yaw")
 TRAIN = ("run1.csv", "run2.csv", "run3.csv")
@@ -538,6 +538,15 @@ def test_an_effect_of_the_users_own_is_told_by_its_name():
     own = Finding("sail_force", None, None, None, {"area": Parameter(2.0, 0.2, "m²")}, 3.0)
     assert _causes.what(own, vehicle()) == "Sail force (area 2.0 ± 0.2 m²)."
     assert _words.advice(own, ()) == ""
+
+    class SailForce(Waves):
+        """An effect that the catalogue does not know."""
+
+        name = "sail_force"
+        advice = "reef the sail"
+
+    placed = (Placed(SailForce.neutral(vehicle())),)
+    assert _words.advice(own, (), placed) == "Reef the sail."
 
 
 def test_numbers_keep_the_digits_that_their_error_leaves():

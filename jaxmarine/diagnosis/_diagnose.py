@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
@@ -33,6 +32,7 @@ WINDOW = 4.0  # [s]
 FEWEST_WINDOWS = 16
 SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
+SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where an unknown dependence alone leaves less than this share of what they leave.
@@ -84,6 +84,7 @@ def diagnose(
     bench = _rescaled(bench)
     base = bench.refine(bench.start())
     found = search(bench, base, progress)
+    bench = found.bench
     progress("settling what was found")
     model, dense = _settled(bench, found)
     now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
@@ -154,6 +155,11 @@ def _window(logs: Sequence[Log], window: float | None) -> float:
     if window is not None:
         return window
     dt = float(np.median([log.dt for log in logs]))
+    if dt > SLOWEST:
+        raise InputError(
+            f"{logs[0].name}: has a sample every {dt:g} s, too few to see how a vehicle moves; give t in "
+            f"seconds, or take a log with a sample every {SLOWEST:g} s or faster."
+        )
     length = np.clip(sum(log.duration for log in logs) / FEWEST_WINDOWS, SHORTEST, WINDOW)
     return float(max(length, FEWEST_SAMPLES * dt))
 
@@ -226,14 +232,10 @@ def _rescaled(bench: Workbench) -> Workbench:
 
 
 def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:
-    """The workbench with another noise of some channels."""
+    """The workbench with another noise of some channels, which nobody states."""
     now = bench.noise.copy()
     now[channels] = noise
-    windows = bench.data.windows
-    weight = np.asarray(windows.weight) * np.nan_to_num(bench.noise / now, nan=1.0)
-    windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
-    data = dataclasses.replace(bench.data, windows=windows)
-    return Workbench(bench.vehicle, bench.families, bench.layout, data, now, bench.split)
+    return bench.reweighed(now, tuple(channels))
 
 
 # --- settling ------------------------------------------------------------------------------------

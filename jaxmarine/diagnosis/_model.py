@@ -105,12 +105,15 @@ class Workbench:
         data: Cut,
         noise: Float[np.ndarray, "18"],
         split: int,
+        loose: tuple[int, ...] = (),
     ):
+        """`loose`: channels whose noise nobody states, so that it is what the model leaves of them."""
         self.vehicle = vehicle
         self.layout = layout
         self.data = data
         self.noise = noise
         self.split = split
+        self.loose = loose
         self.families = families
         self.base = _base_coefficients(vehicle, layout)
         self.count = data.windows.count
@@ -292,6 +295,45 @@ class Workbench:
         missing = np.asarray(problem.windows.weight) == 0
         squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
         return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
+
+    def channel_chi2(self, model: Model) -> Float[np.ndarray, "18"]:
+        """Sum of squares of each channel's residuals in units of its noise."""
+        residual = _residuals(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)
+        return np.asarray((residual**2).sum(axis=(0, 1)))
+
+    def saved(self, before: Model, after: Model) -> float:
+        """Twice the logarithm of how many times likelier the logs are by one model than by another.
+
+        The difference in chi-square; where the noise is unknown, each model has its own estimate of it, and
+        n (s1² - s2²) / s² becomes n log(s1² / s2²), with n the chi-square before: the number of samples
+        that count.
+        """
+        plain = 2 * (before.cost - after.cost)
+        if not self.loose or not np.isfinite(plain):
+            return plain
+        a, b = (self.channel_chi2(model)[list(self.loose)] for model in (before, after))
+        seen = (a > 0) & (b > 0)
+        a, b = a[seen], b[seen]
+        return plain + float((a * np.log(a / b) - (a - b)).sum())
+
+    def reweighed(self, noise: Float[np.ndarray, "18"], loose: tuple[int, ...]) -> "Workbench":
+        """The same with another noise of its channels."""
+        windows = self.data.windows
+        weight = np.asarray(windows.weight) * np.nan_to_num(self.noise / noise, nan=1.0)
+        windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
+        data = dataclasses.replace(self.data, windows=windows)
+        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split, loose)
+
+    def sharpened(self, before: Model, after: Model) -> "Workbench":
+        """The same with unknown noises as much smaller as a better model has made their residuals."""
+        if not self.loose:
+            return self
+        a, b = (self.channel_chi2(model) for model in (before, after))
+        share = np.ones_like(self.noise)
+        loose = list(self.loose)
+        share[loose] = np.minimum(1.0, np.sqrt(b[loose] / np.maximum(a[loose], 1e-300)))
+        share[share == 0] = 1.0  # locked axes have no residual
+        return self.reweighed(self.noise * share, self.loose)
 
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.

@@ -59,8 +59,9 @@ class Round:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Where the search ended."""
+    """Where the search ended; `bench`: with the noise that the model found has left of unstated sensors."""
 
+    bench: Workbench
     model: Model
     stats: Reduced
     rounds: tuple[Round, ...]
@@ -137,14 +138,14 @@ def _trials(
     for member, value in starts:
         value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
         fitted = bench.refine(bench.with_member(model, member, value), FEW_STEPS, ROUGH)
-        trials.append(Trial(member, fitted, 2 * (model.cost - fitted.cost)))
+        trials.append(Trial(member, fitted, bench.saved(model, fitted)))
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
     for i, trial in enumerate(trials):
         more = trial.model.cost - trial.model.promised
         if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
             fitted = bench.refine(trial.model, STEPS, ROUGH)
-            trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
+            trials[i] = Trial(trial.member, fitted, bench.saved(model, fitted))
     return [t for t in trials if bench.sound(t.model)]
 
 
@@ -220,7 +221,7 @@ def search(
             exact = bench.refine(trial.model)
             if not (np.isfinite(exact.cost) and bench.sound(exact)):
                 continue
-            winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
+            winner = dataclasses.replace(trial, model=exact, saved=bench.saved(model, exact))
             after = bench.screen(exact)
             phi = dispersion(bench, exact, after)
             accepted = significant(bench, winner, stats, after, phi)
@@ -230,8 +231,12 @@ def search(
         rounds.append(Round(_once(trials), accepted, phi))
         if not accepted:
             break
-        model, stats = trials[0].model, after
-    return Found(model, stats, tuple(rounds))
+        before, model, stats = model, trials[0].model, after
+        if bench.loose:
+            bench = bench.sharpened(before, model)
+            model = bench.refine(model)
+            stats = bench.screen(model)
+    return Found(bench, model, stats, tuple(rounds))
 
 
 def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:

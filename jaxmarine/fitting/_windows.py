@@ -146,6 +146,11 @@ def cut(
             raise InputError(
                 f"{log.name}: has a sample every {log.dt:g} s, the others every {dt:g} s; resample it."
             )
+    if dt > length / 2:
+        raise InputError(
+            f"{logs[0].name}: has a sample every {dt:g} s, too few for windows of {length:g} s; give t in "
+            "seconds, or take a log that is sampled faster."
+        )
     size = max(4, round(length / dt))
     jump = size if stride is None else max(1, round(stride / dt))
     free = np.concatenate([vehicle.free] * 3).astype(bool)

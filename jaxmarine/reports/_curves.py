@@ -154,14 +154,20 @@ def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts 18"]:
 
 
 def typical_starts(predictions: Predictions, count: int = 3) -> tuple[int, ...]:
-    """The starts whose error before is nearest to the median, in order of time."""
+    """The starts whose error before is nearest to the median, in order of time; apart, where they can be."""
     misfit = _misfits(predictions)
     known = np.flatnonzero(np.isfinite(misfit).any(axis=1))
     if known.size == 0:
         return ()
     size = np.log(np.nanmean(misfit[known], axis=1) + 1e-12)
-    nearest = known[np.argsort(np.abs(size - np.median(size)), kind="stable")[:count]]
-    return tuple(int(start) for start in sorted(nearest, key=lambda i: predictions.times[i, 0]))
+    ranked = known[np.argsort(np.abs(size - np.median(size)), kind="stable")].tolist()
+    times = predictions.times
+    chosen: list[int] = []
+    for start in ranked:
+        if all(times[start, 0] > times[i, -1] or times[start, -1] < times[i, 0] for i in chosen):
+            chosen.append(start)
+    chosen += [start for start in ranked if start not in chosen]
+    return tuple(sorted(chosen[:count], key=lambda i: times[i, 0]))
 
 
 def measured_channels(predictions: Predictions) -> tuple[str, ...]:

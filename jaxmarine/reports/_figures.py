@@ -85,12 +85,12 @@ def error_chart(diagnosis: Diagnosis) -> Chart | None:
     caption = (
         "The model is started from the test log and then left alone with the commands. See how far "
         "it drifts off: the blue line (extended vehicle) should stay near the dashed noise level, "
-        "where the orange one (vehicle file) climbs."
+        "where the orange one (vehicle file) climbs. Errors are per axis, averaged over the axes."
     )
     if len(shown) == 1:
         caption = (
             "The model is started from the test log and then left alone with the commands. Its "
-            "error should stay near the dashed noise level."
+            "error should stay near the dashed noise level. Errors are per axis, averaged over the axes."
         )
     return Chart(
         key="error",

@@ -144,7 +144,7 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
     return Card(
         heading=title(finding.label),
         what=what(finding, diagnosis.vehicle),
-        advice=words.advice(finding, diagnosis.depends_on),
+        advice=words.advice(finding, diagnosis.depends_on, diagnosis.extended.placed),
         sure=words.sureness(finding.log_evidence)
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,
@@ -176,13 +176,13 @@ def _row(suspect: Weighed, taken: Weighed | None, largest: float) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
     values = words.values(suspect.label, suspect.parameters)
-    begins = "" if suspect.since is None else f"since {number(suspect.since)} s"
+    begins = "" if suspect.since is None else f", since {number(suspect.since)} s"
     return Row(
-        title=title(suspect.label),
+        title=title(suspect.label) + begins,
         evidence=number(evidence),
         width=round(100 * min(max(part, 0.0), 1.0), 1),
         taken=suspect is taken,
-        remark="; ".join(text for text in (values, begins) if text),
+        remark=values,
     )
 
 
@@ -219,8 +219,8 @@ def _gains(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """What, before, after, left."""
     gain = diagnosis.gain
     return [
-        ("Position error (rms)", *_pair(gain.position, "m")),
-        ("Velocity error (rms)", *_pair(gain.velocity, "m/s")),
+        ("Position error (rms, all axes together)", *_pair(gain.position, "m")),
+        ("Velocity error (rms, all axes together)", *_pair(gain.velocity, "m/s")),
         (
             "All channels, in units of noise",
             "100 %",

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from ..diagnosis._result import Alternative, Diagnosis, Finding
 from ..effects import CATALOGUE
+from ..vehicle import Placed
 from ._causes import signal, title, what
 from ._numbers import count, joined, number, percent, sentence, unit_on
 
@@ -15,8 +16,8 @@ VERY_STRONG = 5.0  # log evidence, after Kass and Raftery (1995)
 _CLASSES = {effect.name: effect for effect in CATALOGUE}
 
 
-def advice(finding: Finding, depends_on: Sequence[str]) -> str:
-    """What to look at on the boat."""
+def advice(finding: Finding, depends_on: Sequence[str], placed: Sequence[Placed] = ()) -> str:
+    """What to look at on the boat; `placed`: the effects of the extended vehicle, a user's own among them."""
     if finding.effect == "unknown":
         look = (
             f"Look for what changes with the {joined([signal(name) for name in depends_on])}."
@@ -27,7 +28,8 @@ def advice(finding: Finding, depends_on: Sequence[str]) -> str:
             f"{look} Until its cause is known, the extended vehicle carries a term learned from "
             "the log: good for prediction, no explanation."
         )
-    effect = _CLASSES.get(finding.effect)
+    known = _CLASSES | {one.effect.name: type(one.effect) for one in placed}
+    effect = known.get(finding.effect)
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
