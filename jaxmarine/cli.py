@@ -233,7 +233,7 @@ def check(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Log (CSV or Parquet); several in order of time.", metavar="LOG...", show_default=False
+            help="Log (CSV or Parquet); several in order of time.", metavar="LOG", show_default=False
         ),
     ],
     vehicle: VehicleOption,

@@ -170,6 +170,11 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
     task = window_task(freed, units, data, acting, split, False)
     refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
+    if not np.isfinite(refined.cost):
+        raise InputError(
+            f"{logs[0].name}: the simulation of {vehicle.name} runs away on it; check the signs of damping "
+            "and added mass."
+        )
     return evaluated(vehicle, logs, task, refined, freed.names, window)
 
 
@@ -183,11 +188,6 @@ def evaluated(
     chi2, scores, information = (np.asarray(a) for a in refined.stats.reduced())
     weight = np.asarray(task.problem.windows.weight) > 0
     used = weight.any(axis=(1, 2))
-    if not np.isfinite(chi2).all():
-        raise InputError(
-            f"{logs[0].name}: the simulation of {vehicle.name} runs away on it; check the signs of damping "
-            "and added mass."
-        )
     freed, scales = _diagonals(vehicle)
     places = [freed.names.index(name) for name in names]
     size, value = scales.size[places], np.asarray(freed.start)[places]
