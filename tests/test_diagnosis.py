@@ -17,7 +17,7 @@ import pytest
 import jaxmarine as jm
 from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
-from jaxmarine.diagnosis._diagnose import _alternatives
+from jaxmarine.diagnosis._answer import alternatives
 from jaxmarine.diagnosis._model import Member, Model, Workbench
 from jaxmarine.diagnosis._search import Round, Trial
 
@@ -136,7 +136,7 @@ def test_alternatives_are_those_of_the_round_that_was_won():
         Round((Trial(a, model, 9000.0), Trial(b, model, 3000.0), Trial(c, model, 10.0)), True, 1.0),
         Round((Trial(b, model, 2500.0), Trial(c, model, 2499.0), Trial(a, model, 5.0)), True, 1.0),
     )
-    (other,) = _alternatives(bench, b, {0, 1}, 1.0, rounds, 1200.0)
+    (other,) = alternatives(bench, b, {0, 1}, 1.0, rounds, 1200.0)
     assert (other.effect, other.indistinguishable) == ("c", True)
     assert other.log_evidence == pytest.approx(1199.5)
 

@@ -340,10 +340,18 @@ def test_accelerations_under_ever_changing_commands_still_get_a_noise():
 
 def test_a_coarse_sensor_is_at_least_as_noisy_as_its_rounding():
     t = 0.05 * np.arange(2000)
-    log = log_of(t, z=np.round(0.3 * np.sin(0.2 * t), 1), w=np.zeros_like(t))
+    log = log_of(t, z=np.round(0.3 * np.sin(0.2 * t), 1))
     noise = estimate_noise(log)
     assert 0.1 / np.sqrt(12) * 0.99 <= noise[CHANNELS.index("z")] < 0.1
-    assert 0 < noise[CHANNELS.index("w")] < 1e-5  # constant, yet not infinitely sure
+
+
+def test_a_stuck_sensor_counts_only_with_a_stated_noise():
+    t = 0.05 * np.arange(2000)
+    log = log_of(t, z=np.sin(t), w=np.zeros_like(t))
+    assert np.isnan(estimate_noise(log)[CHANNELS.index("w")])
+    assert sensor_noise(log, {"velocity": 0.01})[CHANNELS.index("w")] == 0.01
+    # Nothing was measured there, whatever the file states.
+    assert np.isnan(sensor_noise(log, {"rate": 0.01})[CHANNELS.index("p")])
 
 
 def test_a_sensor_slower_than_the_log_is_judged_by_its_own_samples():

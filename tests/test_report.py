@@ -161,10 +161,10 @@ STRANGE = Finding("unknown", "yaw", None, None, {}, 41.0)
 
 ROUND = (
     Weighed("thruster_gain:port", 812.4, 1650.0, {"factor": 0.71}),
-    Weighed("inflow_loss", 810.9, 1646.0, {"per_speed": 0.3}, "cannot be told from the first"),
-    Weighed("thrust_curve", 310.2, 640.0, {"quadratic": 0.4}, "explains less"),
+    Weighed("inflow_loss", 810.9, 1646.0, {"per_speed": 0.3}),
+    Weighed("thrust_curve", 310.2, 640.0, {"quadratic": 0.4}),
     *(Weighed(f"linear_damping:{dof}", 50.0 - i, 100.0, {"value": 9.0}) for i, dof in enumerate(DOFS)),
-    Weighed("gyro_bias", float("nan"), 0.0, {"r": 0.0}, "could not be fitted"),
+    Weighed("gyro_bias", float("nan"), 0.0, {"r": 0.0}),
     Weighed("deadband", -3.1, 0.1, {"width": 0.0}),
 )
 SECOND = (
@@ -195,7 +195,7 @@ def diagnosis(**changes) -> Diagnosis:
         "rounds": (
             ROUND,
             SECOND,
-            (Weighed("waves", 0.4, 6.0, {"north": 0.1}, "not worth adding"),),
+            (Weighed("waves", 0.4, 6.0, {"north": 0.1}),),
         ),
         "groups": (("thruster_gain:port", "inflow_loss"),),
         "misfit_before": 6.31,
@@ -422,7 +422,7 @@ def test_names_from_files_stay_text(tmp_path):
         diagnosis(
             vehicle=vehicle(EVIL),
             findings=(evil,),
-            rounds=((Weighed(f"thruster_gain:{target}", 9.0, 9.0, {}, EVIL),),),
+            rounds=((Weighed(f"thruster_gain:{target}", 9.0, 9.0, {}),),),
             groups=((f"thruster_gain:{target}", "waves"),),
             train=("a.csv", EVIL, "$b_{.csv"),
             test=EVIL,

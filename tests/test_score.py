@@ -1,11 +1,20 @@
 """The sums that decide a verdict, against dense least squares and against numbers worked by hand."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
-from jaxmarine.diagnosis._gain import gain
-from jaxmarine.diagnosis._score import Reduced, savings
+from jaxmarine.diagnosis._diagnose import _workbench
+from jaxmarine.diagnosis._gain import Candidate, gain
+from jaxmarine.diagnosis._gain import predictions as predicted
+from jaxmarine.diagnosis._model import Beginning, Member
+from jaxmarine.diagnosis._score import Reduced, savings, step_with
+from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
+from jaxmarine.fitting import Room, cut, noise_of
+from jaxmarine.vehicle import Placed
+from tests.boats import boat, record, steps
 
 WINDOWS, ROWS, KNOWN, OWN = 12, 30, 3, 2
 
@@ -55,6 +64,20 @@ def test_savings_are_those_of_dense_least_squares():
     assert table[1, 0] > 10 * table[0, 0]
 
 
+def test_a_step_with_entries_held_is_least_in_the_others():
+    """Against the Karush-Kuhn-Tucker equations, on columns in units a million apart."""
+    rng = np.random.default_rng(1)
+    units = np.array([1.0, 1e3, 1e-3, 1.0, 10.0])
+    rows = rng.normal(size=(40, 5)) * units
+    h, g = rows.T @ rows, rows.T @ rng.normal(size=40)
+    held, values = np.array([1, 4]), np.array([2e-4, -0.03])
+    pick = np.eye(5)[held]
+    multipliers = np.block([[h, pick.T], [pick, np.zeros((2, 2))]])
+    exact = np.linalg.solve(multipliers, np.concatenate([-g, values]))[:5]
+    # The ridge of 1e-10 that keeps the solve regular is all that differs.
+    assert step_with(g, h, held, values) * units == pytest.approx(exact * units, rel=1e-7)
+
+
 def predictions(starts: int, size: float, seed: int):
     """Predictions of u that miss the measurement by errors of a given size."""
     rng = np.random.default_rng(seed)
@@ -95,3 +118,73 @@ def test_the_interval_of_the_gain_knows_that_predictions_overlap(monkeypatch):
         inside += low < truth < high
     # Some 80 % with six independent stretches; starts drawn one by one would give less than half.
     assert inside >= 26
+
+
+def test_a_wave_is_met_again_at_another_phase():
+    """The period is that of training; the phase of a later log is read from what lies before each start."""
+    craft = boat()
+
+    def rocked(phase: float):
+        wave = Waves(jnp.asarray(12.0), jnp.asarray(5.0), jnp.asarray(3.0), jnp.asarray(phase))
+        return craft.place(Placed(wave))
+
+    log = record(rocked(2.0), steps(400))
+    noise = noise_of(craft, [log])
+    data = cut(craft, [log], noise, 4.0)
+    candidates = [
+        Candidate(vehicle, (), np.zeros((1, 0)), np.ones((1, len(vehicle.placed))))
+        for vehicle in (rocked(2.0), rocked(-1.1), craft)
+    ]
+    room = Room.of(data.records, data.windows)
+    times, (right, turned, without), measured, begin = predicted(
+        candidates, log, noise, 4.0, 1, np.zeros(len(log.t), int), room
+    )
+
+    def ratio(before: np.ndarray, after: np.ndarray) -> float:
+        return gain(times, before, after, measured, begin, noise, True)[0].ratio
+
+    # Whether the file's phase is right or not, it is forgotten.
+    assert ratio(right, turned) == pytest.approx(1.0, abs=1e-3)
+    assert ratio(without, turned) < 0.5
+
+
+def test_beginnings_of_the_file_and_of_members_cut_the_logs_together():
+    """Two logs; the file's effect begins in the second, a member in the first, the test comes last."""
+    craft = boat()
+    fouled = Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0])), "port", 6.0, "second")
+    logs = [record(craft, steps(200), name=name) for name in ("first", "second")]
+    bench = _workbench(craft.place(fouled), logs, (ThrusterGain,), 1.5)
+    members = (Member(0, Beginning(0, 12.0)),)
+    found = bench.stretches(members)
+    pairs = [list(zip(found.passed[rows], found.gates[rows, 0], strict=True)) for rows in found.of_samples]
+    assert pairs[0] == [(0, 0.0)] * 120 + [(1, 0.0)] * 80
+    assert pairs[1] == [(1, 0.0)] * 60 + [(1, 1.0)] * 140
+    # What has begun goes on in a log that comes after; a training log met again keeps its own.
+    later = bench.stretches(members, record(craft, steps(50, seed=1), name="third"))
+    assert set(zip(later.passed[later.of_samples[0]], later.gates[later.of_samples[0], 0], strict=True)) == {
+        (1, 1.0)
+    }
+    again = bench.stretches(members, logs[0])
+    assert np.array_equal(again.passed[again.of_samples[0]], found.passed[found.of_samples[0]])
+    # The member's numbers act from its beginning on only.
+    acts = np.asarray(bench.affine(members).acts)[:, bench.slices(members)[0]]
+    assert [acts[row, 0] for row in range(len(found.passed))] == list(found.passed)
+
+
+def test_what_the_programs_have_no_room_for_is_said():
+    craft, logs = boat(), [record(boat(), steps(200), name=name) for name in ("first", "second")]
+
+    class Wide(ThrusterGain):
+        """More parameters than any diagnosis fits at once."""
+
+        @classmethod
+        def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+            del craft
+            return (Suspect(cls, None, {f"factor_{i}": (0,) for i in range(50)}),)
+
+    with pytest.raises(InputError, match=r"thruster_gain has 50 parameters, .* at most 44 at once"):
+        _workbench(craft, logs, (Wide,), 1.5)
+    half = ThrusterGain(jnp.array([0.5, 1.0, 1.0]))
+    often = craft.place(*(Placed(half, "port", since) for since in (4.0, 8.0, 12.0, 16.0)))
+    with pytest.raises(InputError, match="begin at 4 times within these logs; a diagnosis has room for 3"):
+        _workbench(often, logs[:1], (ThrusterGain,), 1.5).stretches(())

@@ -10,20 +10,21 @@ from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from .._types import CHANNELS, RATE, SENSORS, VELOCITY
-from ..effects import CATALOGUE, AbstractEffect, place
+from ..effects import CATALOGUE, AbstractEffect
 from ..fitting import cut, noise_of
 from ..logs import Log, smooth_states
 from ..simulation import initial_state, simulate, substeps
-from ..vehicle import Damping, Placed, Vehicle
+from ..vehicle import Placed, Vehicle
+from ._answer import extended_by, findings_of, groups, recalibrated, weighed
 from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
-from ._knots import Knots, knots, missing_wrench
+from ._judge import Judged, judged
+from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._model import Beginning, Member, Model, Workbench
-from ._result import Alternative, Diagnosis, Finding, Parameter, Recalibrated, Verdict, Weighed
+from ._model import SLOTS, Beginning, Model, Workbench, filled
+from ._result import Diagnosis, Finding, Verdict
 from ._saturated import saturate
-from ._score import Reduced, solve
-from ._search import ROUGH, STEPS, Found, Round, dispersion, needed, penalty, putting_back, search
+from ._search import STEPS, Found, Round, dispersion, needed, penalty, search
 from ._signals import Signals
 from ._unknown import Dependence, cost_of_removal, dependences
 
@@ -36,8 +37,6 @@ FEWEST = 6  # windows of a diagnosis
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where an unknown dependence alone leaves less than this share of what they leave.
 STAND_IN = 0.35
-# Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
-CLOSE = 6.0
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
@@ -71,6 +70,7 @@ def diagnose(
     logs = (train,) if isinstance(train, Log) else tuple(train)
     notes = [note for log in (*logs, test) for note in log.notes]
     bench = _workbench(vehicle, logs, catalogue, window)
+    notes += _stuck(bench)
     if test.duration < HORIZON + 4.0:
         raise InputError(
             f"{test.name}: is shorter than a prediction with its run-in ({HORIZON + 4.0:g} s); "
@@ -86,27 +86,26 @@ def diagnose(
     found = search(bench, base, progress)
     progress("settling what was found")
     model, dense = _settled(bench, found)
-    now, unknown = _with_unknown(bench, _judged(bench, model), dense, progress)
+    now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
     start = bench.refine(bench.frozen(bench.start()))
     if now.model.members and not now.white:
-        alone = _judged(bench, start)
+        alone = judged(bench, start)
         left = _dependences(bench, alone, bench.vehicle)
         if _left_over(bench, alone, left) < STAND_IN * _left_over(bench, now, unknown):
             # Nothing that was named is the cause: it only took the shape of what is unknown.
             now, unknown, dense = alone, left, False
     model = now.model
 
-    extended = _extended(bench, model, dense)
-    final = Candidate(vehicle, bench.families, bench.theta(model))
+    extended = extended_by(bench, model, dense)
+    terms: tuple[Placed, ...] = ()
     if unknown:
         progress("learning what is missing")
-        terms = learn(now.knots, unknown, vehicle.thruster_names)
-        placed = tuple(Placed(term, term.target) for term in terms)
-        extended = extended.place(*placed)
-        final = dataclasses.replace(final, vehicle=vehicle.place(*placed))
+        learned = learn(now.knots, unknown, vehicle.thruster_names)
+        terms = tuple(Placed(term, term.target) for term in learned)
+    extended = extended.place(*terms)
     progress("predicting the test log")
-    measured = _measured_gain(bench, model, final, test, changed=bool(model.members or unknown))
-    findings = _findings(bench, now, found.rounds) + tuple(
+    measured = _measured_gain(bench, model, terms, test)
+    findings = findings_of(bench, now, found.rounds) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
     if dense:
@@ -134,9 +133,9 @@ def diagnose(
         depends_on=tuple(dict.fromkeys(name for one in unknown for name in one.signals)),
         vehicle=vehicle,
         extended=extended,
-        recalibrated=_recalibrated(bench, now) if dense else (),
-        rounds=tuple(_weighed(bench, one) for one in found.rounds),
-        groups=_groups(findings),
+        recalibrated=recalibrated(bench, now) if dense else (),
+        rounds=tuple(weighed(bench, one) for one in found.rounds),
+        groups=groups(findings),
         misfit_before=2 * start.cost / bench.samples,
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
@@ -177,7 +176,28 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
             "use a longer log or a shorter window."
         )
     families, layout = saturate(vehicle, catalogue)
-    return Workbench(vehicle, families, layout, data, noise, split)
+    bench = Workbench(vehicle, families, layout, data, noise, split)
+    room = SLOTS - len(bench.base)
+    for suspect in layout.suspects:
+        if len(suspect.slots) > room:
+            raise InputError(
+                f"Effect {suspect.label} has {len(suspect.slots)} parameters, a diagnosis of {vehicle.name} "
+                f"fits at most {room} at once; use an effect with fewer."
+            )
+    return bench
+
+
+def _stuck(bench: Workbench) -> list[str]:
+    """A note on channels that are measured but cannot be used, on axes that move."""
+    measured = np.isfinite(np.concatenate([log.channels for log in bench.data.logs])).any(axis=0)
+    useless = measured & np.isnan(bench.noise) & (np.tile(bench.vehicle.free, 3) > 0)
+    names = [name for name, bad in zip(CHANNELS, useless, strict=True) if bad]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)} never changes in the training logs, and the vehicle file does not state its "
+        "noise under [sensors]; it was not used."
+    ]
 
 
 def _rescaled(bench: Workbench) -> Workbench:
@@ -272,29 +292,6 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     return model
 
 
-@dataclasses.dataclass(frozen=True)
-class _Judged:
-    """A model with what its residual says.
-
-    - `phi`: dispersion of the windows' scores; `knots`: the missing wrench.
-    - `white`: whether only sensor noise is left: its size is right, and the scores scatter like it.
-    """
-
-    model: Model
-    stats: Reduced
-    phi: float
-    knots: Knots
-    white: bool
-
-
-def _judged(bench: Workbench, model: Model) -> _Judged:
-    stats = bench.screen(model)
-    phi = dispersion(bench, model, stats)
-    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
-    white = bool(stats.chi2.sum() / bench.samples < size and phi < 1.6)
-    return _Judged(model, stats, phi, knots(bench, model), white)
-
-
 def _settled(bench: Workbench, found: Found) -> tuple[Model, bool]:
     """What the search found, without what is not needed, and whether the whole file was recalibrated."""
     phi = dispersion(bench, found.model, found.stats)
@@ -308,20 +305,20 @@ def _settled(bench: Workbench, found: Found) -> tuple[Model, bool]:
 
 
 def _with_unknown(
-    bench: Workbench, now: _Judged, dense: bool, progress: Progress
-) -> tuple[_Judged, tuple[Dependence, ...]]:
+    bench: Workbench, now: Judged, dense: bool, progress: Progress
+) -> tuple[Judged, tuple[Dependence, ...]]:
     """What the residual depends on, and the model without members that only stood in for that."""
     while not now.white:
         progress("looking for what the residual depends on")
-        unknown = _dependences(bench, now, _extended(bench, now.model, dense))
+        unknown = _dependences(bench, now, extended_by(bench, now.model, dense))
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
             return now, unknown
-        now = _judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+        now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
     return now, ()
 
 
-def _dependences(bench: Workbench, now: _Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
+def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
     return dependences(now.knots, now.phi, _undisturbed(bench, vehicle))
 
 
@@ -344,14 +341,14 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
     return {name: out[..., i] for i, name in enumerate(names)} if np.isfinite(out).all() else None
 
 
-def _left_over(bench: Workbench, now: _Judged, unknown: tuple[Dependence, ...]) -> float:
+def _left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
     """Chi-square beyond the noise that a model and unknown dependences leave; infinite without any."""
     if not unknown and not now.model.members:
         return np.inf
     return max(2 * now.model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
 
 
-def _stand_in(bench: Workbench, now: _Judged, unknown: tuple[Dependence, ...]) -> int | None:
+def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
     """The member that an unknown dependence replaces best, if one does."""
     if not unknown or not now.model.members:
         return None
@@ -361,167 +358,23 @@ def _stand_in(bench: Workbench, now: _Judged, unknown: tuple[Dependence, ...]) -
     return worst if shares[worst] < STAND_IN else None
 
 
-# --- the answer ----------------------------------------------------------------------------------
+# --- the gain ------------------------------------------------------------------------------------
 
 
-def _extended(bench: Workbench, model: Model, dense: bool) -> Vehicle:
-    vehicle = bench.vehicle
-    if dense:
-        change = {
-            "added_mass": np.zeros(6),
-            "linear_damping": np.zeros(6),
-            "quadratic_damping": np.zeros(6),
-        }
-        for c, z in zip(bench.base, model.z, strict=False):
-            change[c.label.split(":")[0]][c.axis] = z
-        vehicle = dataclasses.replace(
-            vehicle,
-            added_mass=vehicle.added_mass + np.diag(change["added_mass"]),
-            damping=Damping(
-                vehicle.damping.linear + np.diag(change["linear_damping"]),
-                vehicle.damping.quadratic + np.diag(change["quadratic_damping"]),
-            ),
-        )
-    placed = []
-    for member, where in zip(model.members, bench.slices(model.members), strict=True):
-        suspect = bench.layout.suspects[member.suspect]
-        values = bench.layout.neutral_of(member.suspect) + model.z[where]
-        effect = place(suspect, vehicle, dict(zip(suspect.slots, values.tolist(), strict=True)))
-        since = None if member.since is None else member.since.time
-        name = None if member.since is None else bench.data.logs[member.since.log].name
-        placed.append(Placed(effect, suspect.target, since, name))
-    return vehicle.place(*placed) if placed else vehicle
-
-
-def _covariance(bench: Workbench, now: _Judged) -> np.ndarray:
-    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half."""
-    known, precision, _ = bench.known(now.model)
-    g = now.stats.g @ known
-    h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
-    inverse = solve(h, np.eye(len(h)))
-    scores = (g - g.mean(0)) @ inverse
-    model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    scatter_std = np.sqrt((scores**2).sum(0) * len(g) / max(len(g) - 1, 1))
-    ratio = scatter_std / np.maximum(model_std, 1e-300)
-    factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
-    return inverse * np.outer(factor, factor)
-
-
-def _findings(bench: Workbench, now: _Judged, rounds: Sequence[Round]) -> tuple[Finding, ...]:
-    model, phi = now.model, now.phi
-    std = np.sqrt(np.diag(_covariance(bench, now)))
-    named = {member.suspect for member in model.members}
-    out = []
-    for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
-        suspect = bench.layout.suspects[member.suspect]
-        values = bench.layout.neutral_of(member.suspect) + model.z[where]
-        units = suspect.effect.units
-        parameters = {
-            name: Parameter(float(value), float(s), units[name])
-            for name, value, s in zip(suspect.slots, values, std[where], strict=True)
-        }
-        without = bench.refine(bench.without_member(model, i), STEPS, ROUGH)
-        saved = 2 * (without.cost - model.cost)
-        if not np.isfinite(saved):
-            # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
-            saved = float(putting_back(bench, model, now.stats, where).sum())
-        evidence = 0.5 * (saved / phi - penalty(bench, member))
-        since = member.since
-        out.append(
-            Finding(
-                effect=suspect.effect.name,
-                target=suspect.target,
-                since=None if since is None else since.time,
-                since_log=None if since is None else bench.data.logs[since.log].name,
-                parameters=parameters,
-                log_evidence=float(evidence),
-                alternatives=_alternatives(bench, member, named, phi, rounds, float(evidence)),
-            )
-        )
-    return tuple(out)
-
-
-def _alternatives(
-    bench: Workbench, member: Member, named: set[int], phi: float, rounds: Sequence[Round], evidence: float
-) -> tuple[Alternative, ...]:
-    """What else was weighed in the round in which the member was taken, less what is named itself."""
-    pairs = [
-        (r.trials, t) for r in rounds if r.accepted for t in r.trials if t.member.suspect == member.suspect
-    ]
-    if not pairs:
-        return ()
-    # The round that it won, if it did not join in the place of that round's winner.
-    trials, own = next((pair for pair in pairs if pair[0][0] is pair[1]), pairs[0])
-    out, said = [], set(named)
-    for trial in trials:
-        suspect = bench.layout.suspects[trial.member.suspect]
-        if trial.member.suspect in said:
-            continue
-        said.add(trial.member.suspect)
-        behind = 0.5 * (
-            (own.saved - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, own.member)
-        )
-        close = 2 * behind < CLOSE
-        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
-    close = [a for a in out if a.indistinguishable][:2]
-    return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
-
-
-def _groups(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
-    out = []
-    for finding in findings:
-        same = [
-            a.effect if a.target is None else f"{a.effect}:{a.target}"
-            for a in finding.alternatives
-            if a.indistinguishable
-        ]
-        if same:
-            out.append((finding.label, *same))
-    return tuple(out)
-
-
-def _weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
-    out = []
-    for trial in one.trials:
-        since = trial.member.since
-        out.append(
-            Weighed(
-                label=bench.layout.suspects[trial.member.suspect].label,
-                log_evidence=float(0.5 * (trial.saved / one.phi - penalty(bench, trial.member))),
-                saved_chi2=float(trial.saved),
-                parameters=trial.parameters(bench),
-                since=None if since is None else since.time,
-            )
-        )
-    return tuple(out)
-
-
-def _recalibrated(bench: Workbench, now: _Judged) -> tuple[Recalibrated, ...]:
-    std = np.sqrt(np.diag(_covariance(bench, now)))
-    taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
-    return tuple(
-        Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
-        for c, z, s in zip(bench.base, now.model.z, std, strict=False)
-        if c.label not in taken
-    )
-
-
-def _same(a: Log, b: Log) -> bool:
-    return a.channels.shape == b.channels.shape and bool(
-        np.array_equal(a.channels, b.channels, equal_nan=True)
-    )
-
-
-def _measured_gain(bench: Workbench, model: Model, final: Candidate, test: Log, changed: bool):
-    """The gain on the test log, which comes last in time; unless it is a training log itself."""
-    logs = bench.data.logs
-    twin = next((i for i, log in enumerate(logs) if _same(log, test)), None)
-    passed = bench.passed(model.members, test, len(logs) if twin is None else twin)
-    segments = final.theta.shape[0]
-    before = Candidate(bench.vehicle, bench.families, np.tile(bench.layout.neutral, (segments, 1)))
+def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):
+    """The gain on the test log of the members and of terms that were learned."""
+    stretches = bench.stretches(model.members, test)
+    gates = filled(stretches.gates)
+    neutral = np.tile(bench.layout.neutral, (len(gates), 1))
+    candidates = [Candidate(bench.vehicle, bench.families, neutral, gates)]
+    if model.members or terms:
+        vehicle = bench.vehicle.place(*terms)
+        gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
+        theta, phases = bench.theta(model, stretches), bench.phases(model.members)
+        candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
-    candidates = [before, final] if changed else [before]
     times, predicted, measured, begin = predictions(
-        candidates, test, bench.noise, run_in, bench.split, passed, bench.room
+        candidates, test, bench.noise, run_in, bench.split, stretches.of_samples[0], bench.room
     )
-    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, twin is None)
+    held_out = bench.twin(test) is None
+    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, held_out)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
-from ..fitting import Affine, Problem, Room, Task, cut, predict, refine_windows, start_precision
+from ..fitting import Affine, Problem, Room, Task, Windows, cut, predict, refine_windows, start_precision
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._model import SLOTS
@@ -22,13 +22,44 @@ STARTS = 60  # predictions at most
 RESAMPLES = 1000
 
 
+# Phases that a wave is tried with; what lies between is interpolated by trigonometric polynomials.
+PHASES = 8
+
+
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """A model to predict with: a vehicle, the catalogue's families in it, their parameters per segment."""
+    """A model to predict with: a vehicle, the catalogue's families in it, their parameters per segment.
+
+    - `gates` [segments, placed]: which effects of the vehicle itself act in a segment.
+    - `phases`: which of the parameters are phases of the log's clock.
+    """
 
     vehicle: Vehicle
     families: tuple[AbstractEffect, ...]
     theta: np.ndarray
+    gates: np.ndarray
+    phases: tuple[int, ...] = ()
+
+    @property
+    def swings(self) -> bool:
+        """Whether something in it has a phase that another log does not know."""
+        return bool(self.phases) or any(placed.effect.phases for placed in self.vehicle.placed)
+
+    def turned(self, angle: float) -> "Candidate":
+        """The same with all phases later by an angle [rad]."""
+        theta = self.theta.copy()
+        theta[:, list(self.phases)] += angle
+        placed = tuple(
+            dataclasses.replace(
+                p,
+                effect=dataclasses.replace(
+                    p.effect, **{name: getattr(p.effect, name) + angle for name in p.effect.phases}
+                ),
+            )
+            for p in self.vehicle.placed
+        )
+        vehicle = dataclasses.replace(self.vehicle, placed=placed)
+        return dataclasses.replace(self, vehicle=vehicle, theta=theta)
 
 
 @eqx.filter_jit
@@ -65,10 +96,9 @@ def predictions(
     names = ("step", "measured", "weight")
     seen = dataclasses.replace(windows, **{name: getattr(windows, name)[:, :begin] for name in names})
     precision = jnp.asarray(start_precision(vehicle.free))
-    out = []
-    for one in candidates:
-        gates = jnp.ones((len(one.theta), len(one.vehicle.placed)))
-        plant = SaturatedPlant(one.vehicle, one.families, gates)
+
+    def shown(one: Candidate) -> np.ndarray:
+        plant = SaturatedPlant(one.vehicle, one.families, jnp.asarray(one.gates))
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
         task = Task(
@@ -79,16 +109,42 @@ def predictions(
         )
         started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
         problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
-        shown = np.asarray(_predicted(problem, theta, started.delta))
-        out.append(shown[: data.windows.count])
+        return np.asarray(_predicted(problem, theta, started.delta))[: data.windows.count]
+
+    turns = 2 * np.pi * np.arange(PHASES) / PHASES
+    out = [
+        _in_phase(np.array([shown(one.turned(turn)) for turn in turns]), data.windows, begin)
+        if one.swings
+        else shown(one)
+        for one in candidates
+    ]
     times = log.t[np.asarray(data.windows.step)]
     measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)
     return times, out, measured, begin
 
 
-def _errors(predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    error = predicted - measured
+def _in_phase(tried: np.ndarray, windows: Windows, begin: int) -> np.ndarray:
+    """Predictions [starts, steps, 18] with the phase that fits the data before each start best.
+
+    - `tried` [phases, starts, steps, 18]: the predictions with phases spread evenly over a turn.
+    """
+    tried = tried[0] + _wrapped(tried - tried[0])
+    error = _wrapped(tried - np.asarray(windows.measured)) * np.asarray(windows.weight)
+    # All that lies before a start: the run-ins of the starts up to it, which stand in order of time.
+    past = np.cumsum((error[:, :, :begin] ** 2).sum(axis=(2, 3)), axis=1)
+    count = len(tried)
+    angles = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+    away = angles[:, None] - 2 * np.pi * np.arange(count) / count
+    # Trigonometric interpolation: 1 at its own phase, 0 at the others tried.
+    order = np.arange(1, count // 2)
+    share = (1.0 + 2.0 * np.cos(order * away[..., None]).sum(-1) + np.cos(count / 2 * away)) / count
+    best = np.argmin(share @ past, axis=0)
+    return np.einsum("sk,kstc->stc", share[best], tried)
+
+
+def _wrapped(error: np.ndarray) -> np.ndarray:
     turn = slice(3, 6)
+    error = error.copy()
     error[..., turn] = (error[..., turn] + np.pi) % (2 * np.pi) - np.pi
     return error
 
@@ -113,7 +169,7 @@ def gain(
     held_out: bool,
 ) -> tuple[Gain, Predictions]:
     """The gain with a bootstrap interval over starts in blocks as long as a prediction."""
-    errors = [_errors(p[:, begin:].copy(), measured[:, begin:]) for p in (before, after)]
+    errors = [_wrapped(p[:, begin:] - measured[:, begin:]) for p in (before, after)]
     scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
 
     def pair(names: tuple[str, ...]) -> BeforeAfter | None:

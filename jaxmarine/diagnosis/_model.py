@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from .._errors import InputError
 from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
@@ -17,12 +18,14 @@ from ..fitting import (
     Cut,
     Problem,
     Room,
+    Segments,
     Task,
     coefficient_name,
     evaluated,
     linearise,
     predict,
     refine_windows,
+    segments,
     start_precision,
 )
 from ..logs import Log
@@ -34,7 +37,7 @@ from ._signals import Places, places
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
 SLOTS = 44
 # Members with a beginning of their own: parameters that the compiled screening has columns for, and
-# stretches between beginnings.
+# stretches between beginnings, those of the vehicle file included.
 BEGUN = 6
 SEGMENTS = 4
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -56,6 +59,19 @@ class Beginning:
 
     log: int
     time: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretches:
+    """Between which beginnings a sample lies: per log and sample a segment, and what each segment means.
+
+    - `passed` [segments]: how many beginnings of members are passed in it.
+    - `gates` [segments, placed]: which effects of the vehicle itself act in it.
+    """
+
+    of_samples: tuple[np.ndarray, ...]
+    passed: Int[np.ndarray, " segments"]
+    gates: Float[np.ndarray, "segments placed"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,6 +127,7 @@ class Workbench:
         self.window_log = np.asarray(data.windows.log)
         self.room = Room.of(data.records, data.windows)
         self.knots = max(2, round(data.length / KNOT))
+        self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, Reduced] | None = None
         records, windows = self.room.filled(data.records, data.windows)
         self._problem = Problem(
@@ -145,38 +162,90 @@ class Workbench:
         found = {m.since for m in members if m.since is not None}
         return sorted(found, key=lambda b: (b.log, b.time))
 
-    def passed(self, members: Sequence[Member], log: Log, position: int) -> np.ndarray:
-        """Per sample of a log the number of beginnings passed; `position`: its place in the order of logs."""
-        out = np.zeros(len(log.t), int)
-        for b in self.beginnings(members):
-            out += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
-        return out
+    def stretches(self, members: Sequence[Member], test: Log | None = None) -> Stretches:
+        """Those of the training logs, or of a test log that comes after them unless it is one of them."""
+        logs = self.data.logs
+        if test is None:
+            return self._stretches(members, logs, range(len(logs)), self._own)
+        twin = self.twin(test)
+        if twin is not None:
+            whole = self.stretches(members)
+            return dataclasses.replace(whole, of_samples=(whole.of_samples[twin],))
+        own = segments(self.vehicle, (*logs, test))
+        last = dataclasses.replace(own, of_samples=own.of_samples[-1:])
+        return self._stretches(members, (test,), (len(logs),), last)
+
+    def twin(self, test: Log) -> int | None:
+        """Which training log a test log is, if it is one."""
+        return next((i for i, log in enumerate(self.data.logs) if _same(log, test)), None)
+
+    def _stretches(
+        self, members: Sequence[Member], logs: Sequence[Log], positions: Sequence[int], own: Segments
+    ) -> Stretches:
+        """`positions`: the logs' places in the order of recording."""
+        codes = []
+        for log, position, acting in zip(logs, positions, own.of_samples, strict=True):
+            passed = np.zeros(len(log.t), int)
+            for b in self.beginnings(members):
+                passed += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
+            codes.append(passed * len(own.gates) + acting)
+        met, index = np.unique(np.concatenate(codes), return_inverse=True)
+        if len(met) > SEGMENTS:
+            raise InputError(
+                f"Effects of {self.vehicle.name} begin at {len(met) - 1} times within these logs; "
+                f"a diagnosis has room for {SEGMENTS - 1}: leave some of the logs out."
+            )
+        ends = np.cumsum([len(code) for code in codes])[:-1]
+        return Stretches(tuple(np.split(index, ends)), met // len(own.gates), own.gates[met % len(own.gates)])
+
+    def open(self, model: Model) -> list[int]:
+        """Suspects that are not in the model yet and that the programs have room for."""
+        room = SLOTS - len(model.z)
+        taken = {m.suspect for m in model.members}
+        return [i for i, c in enumerate(self.layout.columns) if i not in taken and c.shape[1] <= room]
 
     def may_begin(self, model: Model, suspect: int) -> bool:
         """Whether the programs have room for one more suspect with a beginning of its own."""
         begun = [m for m in model.members if m.since is not None]
         columns = sum(self.layout.columns[m.suspect].shape[1] for m in begun)
-        return len(begun) + 1 < SEGMENTS and columns + self.layout.columns[suspect].shape[1] <= BEGUN
+        # One more beginning cuts one stretch in two, or one in each log where the file's own recur.
+        more = 1 if len(self._own.gates) == 1 else 2
+        room = len(self.stretches(model.members).passed) + more <= SEGMENTS
+        return room and columns + self.layout.columns[suspect].shape[1] <= BEGUN
 
-    def affine(self, members: Sequence[Member]) -> Affine:
-        """From z to the saturated model's parameters in each segment."""
+    def affine(self, members: Sequence[Member], stretches: Stretches | None = None) -> Affine:
+        """From z to the saturated model's parameters in each segment, of the training logs by default."""
         begun = self.beginnings(members)
+        passed = filled((stretches or self.stretches(members)).passed)
         columns, acts = np.zeros((self.layout.size, SLOTS)), np.ones((SEGMENTS, SLOTS))
         for j, coefficient in enumerate(self.base):
             columns[coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
             columns[:, where] = self.layout.columns[member.suspect]
             if member.since is not None:
-                acts[: begun.index(member.since) + 1, where] = 0.0
+                acts[passed <= begun.index(member.since), where] = 0.0
         neutral = np.tile(self.layout.neutral, (SEGMENTS, 1))
         return Affine(jnp.asarray(neutral), jnp.asarray(columns), jnp.asarray(acts))
 
+    def phases(self, members: Sequence[Member]) -> tuple[int, ...]:
+        """Where the members' phases lie in the saturated model's parameters."""
+        out = []
+        for m in members:
+            suspect, columns = self.layout.suspects[m.suspect], self.layout.columns[m.suspect]
+            own = [i for i, name in enumerate(suspect.slots) if name in suspect.effect.phases]
+            out += np.flatnonzero(columns[:, own].any(axis=1)).tolist()
+        return tuple(out)
+
     def problem(self, members: Sequence[Member]) -> Problem:
-        """The windows' residuals, with the segments that the members' beginnings make."""
+        """The windows' residuals, with the segments that the beginnings make."""
         steps = self._problem.records.t.shape[1]
-        rows = [self.passed(members, log, i) for i, log in enumerate(self.data.logs)]
-        rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in rows]
-        return eqx.tree_at(lambda p: p.records.segment, self._problem, jnp.asarray(np.array(rows)))
+        stretches = self.stretches(members)
+        rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in stretches.of_samples]
+        return eqx.tree_at(
+            lambda p: (p.records.segment, p.plant_of.gates),
+            self._problem,
+            (jnp.asarray(np.array(rows)), jnp.asarray(filled(stretches.gates))),
+        )
 
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
@@ -216,11 +285,11 @@ class Workbench:
         """The model with the file's coefficients held at their values."""
         return dataclasses.replace(model, frozen=True)
 
-    def theta(self, model: Model) -> np.ndarray:
-        """The saturated model's parameters in each segment."""
+    def theta(self, model: Model, stretches: Stretches | None = None) -> np.ndarray:
+        """The saturated model's parameters in each segment, of the training logs by default."""
         z = np.zeros(SLOTS)
         z[: len(model.z)] = model.z
-        return np.asarray(self.affine(model.members)(jnp.asarray(z)))
+        return np.asarray(self.affine(model.members, stretches)(jnp.asarray(z)))
 
     def residual_rms(self, model: Model) -> np.ndarray:
         """Root mean square residual of each channel in the median window, in units of its noise.
@@ -247,9 +316,10 @@ class Workbench:
                 low, high = suspect.effect.plausible.get(name, (-np.inf, np.inf))
                 if not low <= value <= high:
                     return False
-        plant_of, own = self._problem.plant_of, float(self.vehicle.body.matrix[0, 0])
-        for theta in np.unique(self.theta(model), axis=0):
-            plant = plant_of(jnp.asarray(theta), jnp.asarray(0))
+        plant_of, own = self.problem(model.members).plant_of, float(self.vehicle.body.matrix[0, 0])
+        met = len(self.stretches(model.members).passed)
+        for segment, theta in enumerate(self.theta(model)[:met]):
+            plant = plant_of(jnp.asarray(theta), jnp.asarray(segment))
             drive, rigid = plant.drive, np.asarray(plant.load.rigid)
             mass = rigid + np.asarray(plant.load.added)
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
@@ -345,6 +415,17 @@ class Workbench:
         """A suspect's columns in the screening's order."""
         columns = self.layout.columns[suspect]
         return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
+
+
+def filled(rows: np.ndarray) -> np.ndarray:
+    """One row per segment that the programs have, the last one repeated."""
+    return np.concatenate([rows, np.repeat(rows[-1:], SEGMENTS - len(rows), axis=0)])
+
+
+def _same(a: Log, b: Log) -> bool:
+    return a.channels.shape == b.channels.shape and bool(
+        np.array_equal(a.channels, b.channels, equal_nan=True)
+    )
 
 
 @eqx.filter_jit

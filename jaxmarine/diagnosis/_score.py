@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,6 +21,20 @@ def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:
     scaled = h / np.outer(scale, scale)
     ridge = 1e-10 * np.eye(len(h))
     return (np.linalg.solve(scaled + ridge, (g.T / scale).T).T / scale).T
+
+
+def step_with(
+    g: Float[np.ndarray, " z"],
+    h: Float[np.ndarray, "z z"],
+    held: Int[np.ndarray, " held"],
+    values: np.ndarray,
+) -> Float[np.ndarray, " z"]:
+    """The step that minimises 2 g'x + x'h x where some entries of x are held at values."""
+    step = np.zeros(len(g))
+    step[held] = values
+    rest = np.setdiff1d(np.arange(len(g)), held)
+    step[rest] = -solve(h[np.ix_(rest, rest)], g[rest] + h[np.ix_(rest, held)] @ values)
+    return step
 
 
 def t_value(per_window: Float[np.ndarray, " windows"]) -> float:

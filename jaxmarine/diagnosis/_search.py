@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, solve, t_value
+from ._score import Reduced, savings, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
@@ -93,8 +93,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
     And each suspect with the beginning that suits it best, whether that is worth a refit or not.
     """
     known, precision, offset = bench.known(model)
-    active = {m.suspect for m in model.members}
-    order = [i for i in range(len(bench.layout.suspects)) if i not in active]
+    order = bench.open(model)
     owns = tuple(bench.own(i) for i in order)
     table = savings(stats, known, precision, offset, owns, EARLIEST)
     out, begun = [], {}
@@ -110,10 +109,10 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
     """Suspects without a useful slope at neutral, at the start from which they promise most."""
-    active = {m.suspect for m in model.members}
     out = []
-    for i, suspect in enumerate(bench.layout.suspects):
-        if i in active or not (suspect.starts or suspect.effect is Waves):
+    for i in bench.open(model):
+        suspect = bench.layout.suspects[i]
+        if not (suspect.starts or suspect.effect is Waves):
             continue
         neutral = bench.layout.neutral_of(i)
         names = list(suspect.slots)
@@ -159,15 +158,9 @@ def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -
     """Chi-square lost on each window when some of z go back to zero and the rest is refitted (linearised)."""
     known, precision, z = bench.known(model)
     g, h = stats.g @ known, np.einsum("wij,ia,jb->wab", stats.h, known, known, optimize=True)
-    held = np.arange(where.start, where.stop)
-    rest = np.setdiff1d(np.arange(len(z)), held)
     total = h.sum(0) + np.diag(precision)
-    step = np.zeros(len(z))
-    step[held] = -z[held]
-    step[rest] = -solve(
-        total[np.ix_(rest, rest)],
-        (g.sum(0) + precision * z)[rest] + total[np.ix_(rest, held)] @ step[held],
-    )
+    held = np.arange(where.start, where.stop)
+    step = step_with(g.sum(0) + precision * z, total, held, -z[held])
     return 2 * g @ step + np.einsum("wab,a,b->w", h, step, step, optimize=True)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
-from ._score import blocks, solve, t_value
+from ._score import blocks, step_with, t_value
 from ._signals import Signals
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
@@ -238,14 +238,8 @@ def cost_of_removal(
             h[:n, :n] += np.diag(k.precision)
             g[:n] += k.precision * k.offset
             h[range(n, len(h)), range(n, len(h))] *= 1 + 1e-6
-            free = -solve(h, g)
-            best = float(g @ free)
             held = np.arange(where.start, where.stop)
-            rest = np.setdiff1d(np.arange(len(h)), held)
-            step = np.zeros(len(h))
-            step[held] = -k.offset[held]
-            g_rest = g[rest] + h[np.ix_(rest, held)] @ step[held]
-            step[rest] = -solve(h[np.ix_(rest, rest)], g_rest)
-            pair.append(float(2 * g @ step + step @ h @ step) - best)
+            least, without = (step_with(g, h, fixed, -k.offset[fixed]) for fixed in (held[:0], held))
+            pair.append(float(2 * g @ (without - least) + without @ h @ without - least @ h @ least))
         out.append((pair[0], pair[1]))
     return out

@@ -61,6 +61,7 @@ class AbstractEffect(eqx.Module):
     shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best
     advice: ClassVar[str] = ""  # what to look at on the boat
     plausible: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # range of a parameter
+    phases: ClassVar[tuple[str, ...]] = ()  # angles [rad] of the log's own clock, others in another log
 
     @classmethod
     @abc.abstractmethod

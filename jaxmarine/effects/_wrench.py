@@ -198,6 +198,7 @@ class Waves(WrenchEffect):
     name = "waves"
     units = {"north": "N", "east": "N", "period": "s", "phase": "rad"}
     plausible = {"period": (0.0, np.inf)}
+    phases = ("phase",)
     confused_with = ("unknown",)
     shown_by = "some minutes on any course"
     advice = "waves: nothing to mend; filter them from the controller's signals"

@@ -69,6 +69,8 @@ from ._solver import (
 from ._solver import (
     refine_windows as refine_windows,
 )
+from ._trajectory import Segments as Segments
+from ._trajectory import segments as segments
 from ._uncertainty import Combination as Combination
 from ._uncertainty import Parameter as Parameter
 from ._windows import Cut as Cut

@@ -159,11 +159,17 @@ def fit(
 
 
 def noise_of(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, "18"]:
-    """Noise per channel: stated by the vehicle, else estimated from the logs; NaN: unmeasured."""
+    """Noise per channel: stated by the vehicle, else estimated from the logs; NaN: unmeasured.
+
+    Raises `InputError` where nothing that was measured can be weighed.
+    """
     noises = np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs])
     out = np.full(noises.shape[1], np.nan)
     seen = np.isfinite(noises).any(axis=0)
     out[seen] = np.nanmedian(noises[:, seen], axis=0)
+    if not seen.any():
+        names = ", ".join(log.name for log in logs)
+        raise InputError(f"{names}: no measured channel ever changes; use a log in which the vehicle moves.")
     return out
 
 

@@ -22,18 +22,20 @@ _FINEST = 1e-6
 def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) -> Float[np.ndarray, "18"]:
     """Standard deviation of the noise of each channel; NaN where nothing is measured.
 
-    `sensors` holds what the vehicle file states per kind of sensor; other kinds are estimated.
+    `sensors` holds what the vehicle file states per kind of sensor; other kinds are estimated. A
+    channel that never changes, of a kind that is not stated, counts as not measured: nothing says how
+    far to trust it.
     """
     noise = estimate_noise(log)
+    measured = np.isfinite(log.channels).any(axis=0)
     for kind, std in (sensors or {}).items():
         if std is not None:
-            stated = np.isin(CHANNELS, SENSORS[kind]) & np.isfinite(noise)
-            noise[stated] = std
+            noise[np.isin(CHANNELS, SENSORS[kind]) & measured] = std
     return noise
 
 
 def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
-    """Standard deviation of what no smooth motion explains, per channel, NaN where unmeasured.
+    """Standard deviation of what no smooth motion explains, per channel, NaN where unmeasured or constant.
 
     Each sample is compared with the polynomial through its neighbours. That residual is a divided
     difference of the samples, whose weights are known for any spacing, so that the noise follows
@@ -47,6 +49,8 @@ def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
         if not finite.any():
             continue
         values = log.channels[finite, index]
+        if np.ptp(values) == 0:
+            continue
         if name in ATTITUDE:
             values = np.unwrap(values)
         # accelerations jump with the commands; everything else is continuous

@@ -1,0 +1,164 @@
+"""From the settled model to the answer: extended vehicle, findings, what could not be told apart."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..effects import place
+from ..vehicle import Damping, Placed, Vehicle
+from ._judge import Judged
+from ._model import Member, Model, Workbench
+from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
+from ._score import solve
+from ._search import ROUGH, STEPS, Round, penalty, putting_back
+
+# Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
+CLOSE = 6.0
+
+
+def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
+    """The vehicle with the members placed in it and, where `dense`, its coefficients recalibrated."""
+    vehicle = bench.vehicle
+    if dense:
+        change = {
+            "added_mass": np.zeros(6),
+            "linear_damping": np.zeros(6),
+            "quadratic_damping": np.zeros(6),
+        }
+        for c, z in zip(bench.base, model.z, strict=False):
+            change[c.label.split(":")[0]][c.axis] = z
+        vehicle = dataclasses.replace(
+            vehicle,
+            added_mass=vehicle.added_mass + np.diag(change["added_mass"]),
+            damping=Damping(
+                vehicle.damping.linear + np.diag(change["linear_damping"]),
+                vehicle.damping.quadratic + np.diag(change["quadratic_damping"]),
+            ),
+        )
+    placed = []
+    for member, where in zip(model.members, bench.slices(model.members), strict=True):
+        suspect = bench.layout.suspects[member.suspect]
+        values = bench.layout.neutral_of(member.suspect) + model.z[where]
+        effect = place(suspect, vehicle, dict(zip(suspect.slots, values.tolist(), strict=True)))
+        since = None if member.since is None else member.since.time
+        name = None if member.since is None else bench.data.logs[member.since.log].name
+        placed.append(Placed(effect, suspect.target, since, name))
+    return vehicle.place(*placed) if placed else vehicle
+
+
+def _covariance(bench: Workbench, now: Judged) -> np.ndarray:
+    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half."""
+    known, precision, _ = bench.known(now.model)
+    g = now.stats.g @ known
+    h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
+    inverse = solve(h, np.eye(len(h)))
+    scores = (g - g.mean(0)) @ inverse
+    model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    scatter_std = np.sqrt((scores**2).sum(0) * len(g) / max(len(g) - 1, 1))
+    ratio = scatter_std / np.maximum(model_std, 1e-300)
+    factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
+    return inverse * np.outer(factor, factor)
+
+
+def findings_of(bench: Workbench, now: Judged, rounds: Sequence[Round]) -> tuple[Finding, ...]:
+    """Each member with its parameters, its evidence beside the others, and what else it could be."""
+    model, phi = now.model, now.phi
+    std = np.sqrt(np.diag(_covariance(bench, now)))
+    named = {member.suspect for member in model.members}
+    out = []
+    for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
+        suspect = bench.layout.suspects[member.suspect]
+        values = bench.layout.neutral_of(member.suspect) + model.z[where]
+        units = suspect.effect.units
+        parameters = {
+            name: Parameter(float(value), float(s), units[name])
+            for name, value, s in zip(suspect.slots, values, std[where], strict=True)
+        }
+        without = bench.refine(bench.without_member(model, i), STEPS, ROUGH)
+        saved = 2 * (without.cost - model.cost)
+        if not np.isfinite(saved):
+            # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
+            saved = float(putting_back(bench, model, now.stats, where).sum())
+        evidence = 0.5 * (saved / phi - penalty(bench, member))
+        since = member.since
+        out.append(
+            Finding(
+                effect=suspect.effect.name,
+                target=suspect.target,
+                since=None if since is None else since.time,
+                since_log=None if since is None else bench.data.logs[since.log].name,
+                parameters=parameters,
+                log_evidence=float(evidence),
+                alternatives=alternatives(bench, member, named, phi, rounds, float(evidence)),
+            )
+        )
+    return tuple(out)
+
+
+def alternatives(
+    bench: Workbench, member: Member, named: set[int], phi: float, rounds: Sequence[Round], evidence: float
+) -> tuple[Alternative, ...]:
+    """What else was weighed in the round in which the member was taken, less what is named itself."""
+    pairs = [
+        (r.trials, t) for r in rounds if r.accepted for t in r.trials if t.member.suspect == member.suspect
+    ]
+    if not pairs:
+        return ()
+    # The round that it won, if it did not join in the place of that round's winner.
+    trials, own = next((pair for pair in pairs if pair[0][0] is pair[1]), pairs[0])
+    out, said = [], set(named)
+    for trial in trials:
+        suspect = bench.layout.suspects[trial.member.suspect]
+        if trial.member.suspect in said:
+            continue
+        said.add(trial.member.suspect)
+        behind = 0.5 * (
+            (own.saved - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, own.member)
+        )
+        close = 2 * behind < CLOSE
+        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
+    close = [a for a in out if a.indistinguishable][:2]
+    return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
+
+
+def groups(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
+    """Labels that the logs cannot tell apart, each group with its finding first."""
+    out = []
+    for finding in findings:
+        same = [
+            a.effect if a.target is None else f"{a.effect}:{a.target}"
+            for a in finding.alternatives
+            if a.indistinguishable
+        ]
+        if same:
+            out.append((finding.label, *same))
+    return tuple(out)
+
+
+def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
+    """A round's ranking for the report."""
+    out = []
+    for trial in one.trials:
+        since = trial.member.since
+        out.append(
+            Weighed(
+                label=bench.layout.suspects[trial.member.suspect].label,
+                log_evidence=float(0.5 * (trial.saved / one.phi - penalty(bench, trial.member))),
+                saved_chi2=float(trial.saved),
+                parameters=trial.parameters(bench),
+                since=None if since is None else since.time,
+            )
+        )
+    return tuple(out)
+
+
+def recalibrated(bench: Workbench, now: Judged) -> tuple[Recalibrated, ...]:
+    """The file's coefficients that no member stands for, with what they were refitted to."""
+    std = np.sqrt(np.diag(_covariance(bench, now)))
+    taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
+    return tuple(
+        Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
+        for c, z, s in zip(bench.base, now.model.z, std, strict=False)
+        if c.label not in taken
+    )

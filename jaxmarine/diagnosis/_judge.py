@@ -1,0 +1,34 @@
+"""What the residual of a model says of it: how far it scatters, what wrench it lacks, whether it is noise."""
+
+import dataclasses
+
+import numpy as np
+
+from ._knots import Knots, knots
+from ._model import Model, Workbench
+from ._score import Reduced
+from ._search import dispersion
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """A model with what its residual says.
+
+    - `phi`: dispersion of the windows' scores; `knots`: the missing wrench.
+    - `white`: whether only sensor noise is left: its size is right, and the scores scatter like it.
+    """
+
+    model: Model
+    stats: Reduced
+    phi: float
+    knots: Knots
+    white: bool
+
+
+def judged(bench: Workbench, model: Model) -> Judged:
+    """The model with what its residual says, by one linearisation."""
+    stats = bench.screen(model)
+    phi = dispersion(bench, model, stats)
+    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
+    white = bool(stats.chi2.sum() / bench.samples < size and phi < 1.6)
+    return Judged(model, stats, phi, knots(bench, model), white)
