@@ -307,8 +307,8 @@ def test_the_page_says_what_is_wrong_and_what_to_do(report):
 def test_the_page_says_what_the_logs_can_tell(report):
     text = read(report).text
     assert "Sway is not excited: drive sideways to either side." in text
-    assert "surge yes −0.2 ▁ █ 1.1 m/s 1.2 % 2 % 10 % 30 %" in text
-    assert "sway no −0.2 ▁ █ 1.1 m/s > 100 % > 100 % > 100 % > 100 %" in text
+    assert "surgeyes−0.2 ▁ █ 1.1 m/s1.2 %2 %10 %30 %" in text
+    assert "swayno−0.2 ▁ █ 1.1 m/s> 100 %> 100 %> 100 %> 100 %" in text
     said = {
         axis["dof"]: axis for axis in json.loads((report.parent / "diagnosis.json").read_text())["excitation"]
     }

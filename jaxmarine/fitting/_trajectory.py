@@ -132,8 +132,8 @@ def spurious(task: Task, refined: Refined) -> np.ndarray:
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
     # Windows that only fill up an array have nothing that would hold their draws.
-    used = (np.asarray(task.problem.windows.weight) > 0).any(axis=(1, 2), keepdims=True)[:, 0]
-    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used)
+    used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
+    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used[:, None])
     both = []
     for sign in (1.0, -1.0):
         # One step leaves the statistics where it began, by a program that is compiled already.
