@@ -60,7 +60,7 @@ def advice(axes: Sequence[Axis], known: float) -> tuple[str, ...]:
     """
     out = [sentence for axis in axes for sentence in _of_axis(axis, known)]
     if not out:
-        out = ["Nothing is missing: every axis is excited, and all its coefficients are determined."]
+        out = ["Every axis is excited, and all its coefficients are determined."]
     missed = [axis for axis in axes if axis.scatter > _SCATTERED]
     if missed:
         most = max(axis.scatter for axis in missed)

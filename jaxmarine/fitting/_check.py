@@ -8,13 +8,14 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import DOFS
+from .._types import CHANNELS, DOFS, SENSORS
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle
@@ -23,6 +24,7 @@ from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._fit import noise_of
 from ._free import set_free
+from ._linearise import Problem, predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
@@ -129,8 +131,9 @@ class Check:
 
     def __repr__(self) -> str:
         determined = sum(c.determined for c in self.coefficients)
+        logs = ", ".join(self.logs) if len(self.logs) < 3 else f"{len(self.logs)} logs"
         head = (
-            f"What {', '.join(self.logs)} can tell of {self.vehicle}: {determined} of "
+            f"What {logs} can tell of {self.vehicle}: {determined} of "
             f"{len(self.coefficients)} coefficients ({self.duration:.0f} s, {self.windows} windows of "
             f"{self.window:g} s)"
         )
@@ -153,7 +156,9 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     A coefficient counts as determined where the standard error that a fit of all diagonal added masses and
     dampings would give it is below a third of its typical size; an axis as not excited where neither its
     inertia nor its damping force is. Information that only the noise in the initial states pretends is left
-    out. Raises `InputError` where the logs are shorter than two windows.
+    out. Sensors whose noise the vehicle does not state are taken to be no better than the file predicts them
+    in the median window, so that filtered measurements do not seem to tell everything. Raises
+    `InputError` where the logs are shorter than two windows.
     """
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
     if not logs:
@@ -165,11 +170,17 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     freed, scales = _diagonals(vehicle)
     acting = segments(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])))
-    data = cut(vehicle, logs, noise_of(vehicle, logs), window, segments=acting.of_samples)
+    noise = noise_of(vehicle, logs)
+    data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     count = len(freed.names)
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
     task = window_task(freed, units, data, acting, split, False)
     refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
+    stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
+    estimated = np.isfinite(noise) & np.array([name not in stated for name in CHANNELS])
+    if np.isfinite(refined.cost) and estimated.any():
+        task = _at_residual(task, refined, estimated)
+        refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
         raise InputError(
             f"{logs[0].name}: the simulation of {vehicle.name} runs away on it; check the signs of damping "
@@ -226,6 +237,28 @@ def evaluated(
         misfit=misfit,
         advice=advice(axes, KNOWN),
     )
+
+
+@eqx.filter_jit
+def _residuals(problem: Problem, theta, delta):
+    return predict(problem, theta, delta)[1]
+
+
+def _at_residual(task: Task, refined: Refined, channels: np.ndarray) -> Task:
+    """The task with the noise of some channels raised to the residual.
+
+    At most to what a channel changes by within a window, which is the most that it can be missed by.
+    """
+    windows = task.problem.windows
+    weight = np.asarray(windows.weight)
+    residual = np.asarray(_residuals(task.problem, task.affine.theta, refined.delta))
+    missing = weight == 0
+    squares = np.ma.masked_array(residual, missing) ** 2
+    missed = np.sqrt(np.ma.median(squares.mean(axis=1), axis=0)).filled(1.0)
+    changes = np.ma.masked_array(np.asarray(windows.measured) * weight, missing).std(axis=1)
+    most = changes.mean(axis=0).filled(1.0)
+    factor = np.where(channels, np.maximum(np.minimum(missed, most), 1.0), 1.0)
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight / factor))
 
 
 def coefficient_name(kind: str, dof: str) -> str:
