@@ -194,13 +194,10 @@ class Diagnosis:
                     "velocity_rms": axis.coverage.velocity_rms,
                     "velocity_range": list(axis.coverage.velocity_range),
                     "relative_std": {
-                        name: value if np.isfinite(value) else None
-                        for name, value in (
-                            ("inertia", axis.inertia),
-                            ("damping", axis.damping),
-                            ("linear", axis.linear),
-                            ("quadratic", axis.quadratic),
-                        )
+                        "inertia": axis.inertia,
+                        "damping": axis.damping,
+                        "linear": axis.linear,
+                        "quadratic": axis.quadratic,
                     },
                 }
                 for axis in self.check.axes

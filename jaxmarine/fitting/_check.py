@@ -194,7 +194,8 @@ def evaluated(
 ) -> Check:
     """The check from windows whose initial states are fitted already.
 
-    - `names`: of the first z of the task, each a diagonal coefficient in its own units (`coefficient_name`).
+    - `names`: of the first z of the task, each a diagonal coefficient in its own units (`coefficient_name`);
+      an axis is judged where all three of its coefficients are among them.
     """
     chi2, scores, information = (np.asarray(a) for a in refined.stats.reduced())
     weight = np.asarray(task.problem.windows.weight) > 0
@@ -215,9 +216,10 @@ def evaluated(
             names, map(_parts, names), value, size, np.diag(covariance), strict=True
         )
     )
-    seen = coverage(logs, vehicle.dof)
     axes = tuple(
-        _axis(one, coefficients, covariance, scatter, _driven(vehicle, logs, one.dof)) for one in seen
+        _axis(one, coefficients, covariance, scatter, _driven(vehicle, logs, one.dof))
+        for one in coverage(logs, vehicle.dof)
+        if sum(c.dof == one.dof for c in coefficients) == len(_KINDS)
     )
     misfit = float(chi2[used].sum() / weight.sum())
     return Check(
@@ -299,22 +301,22 @@ def _axis(
     scatter: np.ndarray,
     driven: bool,
 ) -> AxisCheck:
-    own = {c.kind: i for i, c in enumerate(coefficients) if c.dof == seen.dof}
-    errors = {kind: coefficients[own[kind]].relative if kind in own else np.nan for kind in _KINDS}
+    inertia, linear, quadratic = own = [
+        next(i for i, c in enumerate(coefficients) if (c.kind, c.dof) == (kind, seen.dof)) for kind in _KINDS
+    ]
     # Damping force per velocity at the root-mean-square velocity, as shares of its two parts.
     shares = np.zeros(len(coefficients))
-    for kind, factor in (("damping.linear", 1.0), ("damping.quadratic", seen.velocity_rms)):
-        if kind in own:
-            shares[own[kind]] = coefficients[own[kind]].size * factor
-    shares /= max(shares.sum(), np.finfo(float).tiny)
-    determined = [i for i in own.values() if coefficients[i].determined]
+    shares[linear] = coefficients[linear].size
+    shares[quadratic] = coefficients[quadratic].size * seen.velocity_rms
+    shares /= shares.sum()
+    determined = [i for i in own if coefficients[i].determined]
     return AxisCheck(
         dof=seen.dof,
         coverage=seen,
-        inertia=errors["added_mass"],
-        linear=errors["damping.linear"],
-        quadratic=errors["damping.quadratic"],
-        damping=float(np.sqrt(shares @ covariance @ shares)) if shares.any() else np.nan,
+        inertia=coefficients[inertia].relative,
+        linear=coefficients[linear].relative,
+        quadratic=coefficients[quadratic].relative,
+        damping=float(np.sqrt(shares @ covariance @ shares)),
         scatter=float(np.median(scatter[determined])) if determined else 1.0,
         driven=driven,
     )
@@ -336,8 +338,6 @@ def sparkline(shares: Sequence[float]) -> str:
 
 def percent(relative: float) -> str:
     """A relative standard error for a table."""
-    if not np.isfinite(relative):
-        return "–"
     return f"{100 * relative:.2g} %" if relative < 1 else "> 100 %"
 
 
