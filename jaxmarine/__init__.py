@@ -13,10 +13,16 @@ from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose
 from .effects import CATALOGUE as CATALOGUE
 from .fitting import (
+    Check as Check,
+)
+from .fitting import (
     Fit as Fit,
 )
 from .fitting import (
     FitError as FitError,
+)
+from .fitting import (
+    check as check,
 )
 from .fitting import (
     fit as fit,

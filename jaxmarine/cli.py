@@ -258,6 +258,31 @@ def fit(
     _out.print(f"Fitted vehicle: {out}", markup=False, highlight=False, soft_wrap=True)
 
 
+@app.command(epilog="Example: `jaxmarine check --vehicle rov.toml dive.csv`")
+def check(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Log (CSV or Parquet); several in order of time.", metavar="LOG", show_default=False
+        ),
+    ],
+    vehicle: VehicleOption,
+    columns: ColumnsOption = None,
+) -> None:
+    """Says how well logs excite each axis, which coefficients they determine, and what to log next."""
+    _prepare()
+    from .fitting import check as run
+    from .logs import read_log
+    from .vehicle_io import load_vehicle
+
+    craft = load_vehicle(vehicle)
+    columns_map = _columns(columns)
+    recorded = [read_log(path, craft, columns_map) for path in logs]
+    with _progress("checking"):
+        result = run(craft, recorded)
+    _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
+
+
 @app.command(epilog="Example: `jaxmarine demo --out demo-report`")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path("demo-report"),

@@ -16,7 +16,7 @@ import jaxmarine as jm
 from jaxmarine.cli import main
 from jaxmarine.examples import operator, recorded
 
-COMMANDS = ("diagnose", "simulate", "fit", "demo")
+COMMANDS = ("diagnose", "simulate", "fit", "check", "demo")
 
 
 @pytest.fixture
@@ -110,6 +110,8 @@ def call(command: str, folder: Path) -> list[str | Path]:
     """The command line with the folder's files, everything written below `out`."""
     vehicle, log, out = folder / "ship.toml", folder / "dive.csv", folder / "out"
     words: list[str | Path] = [command, "--vehicle", vehicle]
+    if command == "check":
+        return [*words, log]
     if command == "simulate":
         return [*words, "--log", log, "--out", folder / "out.csv"]
     if command == "fit":
@@ -173,7 +175,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("command", ["diagnose", "simulate", "fit"])
+@pytest.mark.parametrize("command", ["diagnose", "simulate", "fit", "check"])
 @pytest.mark.parametrize("spoil,fragment", BAD.values(), ids=BAD)
 def test_what_cannot_be_used_is_said_in_one_sentence(jaxmarine, folder, command, spoil, fragment):
     spoil(folder)
@@ -184,7 +186,7 @@ def test_what_cannot_be_used_is_said_in_one_sentence(jaxmarine, folder, command,
     assert sorted(folder.rglob("*")) == before, "nothing is written"
 
 
-@pytest.mark.parametrize("command", ["diagnose", "fit"])
+@pytest.mark.parametrize("command", ["diagnose", "fit", "check"])
 def test_a_log_shorter_than_two_windows_is_refused(jaxmarine, folder, command):
     spoil_log(lambda table: table.head(20))(folder)
     before = sorted(folder.rglob("*"))
@@ -196,7 +198,7 @@ def test_a_log_shorter_than_two_windows_is_refused(jaxmarine, folder, command):
 
 def test_a_column_map_that_does_not_fit_is_refused(jaxmarine, folder):
     (folder / "map.toml").write_text('[columns]\nport = "left"\n')
-    for command in ("diagnose", "simulate", "fit"):
+    for command in ("diagnose", "simulate", "fit", "check"):
         code, _, err = jaxmarine(*call(command, folder), "--columns", folder / "map.toml")
         assert code == 2
         assert "has no column `left`" in one_sentence(err)

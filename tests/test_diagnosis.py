@@ -168,3 +168,6 @@ def test_the_answer_is_strict_json_with_the_contracts_keys(tmp_path):
     assert low <= gain["ratio"] <= high
     assert np.isfinite(gain["ratio"])
     assert answer["residual_after"] == {"white": True, "depends_on": []}
+    excitation = {axis["dof"]: axis for axis in answer["excitation"]}
+    assert tuple(excitation) == diagnosis.vehicle.dof
+    assert excitation["surge"]["excited"] == "yes" and excitation["surge"]["relative_std"]["inertia"] < 0.02

@@ -25,6 +25,8 @@ from jaxmarine.diagnosis._result import (
     Weighed,
 )
 from jaxmarine.effects import CATALOGUE, Waves
+from jaxmarine.fitting import AxisCheck, Check
+from jaxmarine.fitting._coverage import AxisCoverage
 from jaxmarine.reports import _causes, _curves, _numbers, _page, _words, _write, write_report
 from jaxmarine.vehicle import Body, Damping, Placed, Thrusters, Vehicle
 
@@ -109,6 +111,29 @@ def missing(size: float, dof: tuple[str, ...] = PLANAR, logs: int = 3) -> Missin
     return MissingWrench(log=log, t=t, wrench=wrench, std=std, velocity=velocity)
 
 
+def checked() -> Check:
+    """Surge and yaw are well excited, sway not at all."""
+    seen = AxisCoverage("surge", 0.3, 0.4, (-0.2, 1.1), (-0.1, 1.0), (0.1, 0.0, 0.9), 0.1, (-0.3, 0.3))
+    errors = {"surge": (0.0123, 0.02, 0.1, 0.3), "sway": (4.0, 2.0, 3.0, 9.0), "yaw": (0.1, 0.1, 0.2, 0.25)}
+    axes = tuple(
+        AxisCheck(dof, seen, inertia, linear, quadratic, damping, 1.0, True)
+        for dof, (inertia, damping, linear, quadratic) in errors.items()
+    )
+    return Check(
+        vehicle="catamaran",
+        logs=TRAIN,
+        duration=900.0,
+        windows=225,
+        window=4.0,
+        axes=axes,
+        coefficients=(),
+        information=np.zeros(0),
+        undetermined=(),
+        misfit=1.0,
+        advice=("Sway is not excited: drive sideways to either side.",),
+    )
+
+
 PORT = Finding(
     effect="thruster_gain",
     target="port",
@@ -178,6 +203,7 @@ def diagnosis(**changes) -> Diagnosis:
         "predictions": predictions(),
         "missing_before": missing(25.0),
         "missing_after": missing(0.0),
+        "check": checked(),
         "train": TRAIN,
         "test": "run4.csv",
         "notes": ("Noise of the position was estimated from the logs.",),
@@ -276,6 +302,18 @@ def test_the_page_says_what_is_wrong_and_what_to_do(report):
     assert "Held out: run4.csv was not used" in text
     assert "0.41 m" in text and "0.03 m" in text
     assert "Noise of the position was estimated from the logs." in text
+
+
+def test_the_page_says_what_the_logs_can_tell(report):
+    text = read(report).text
+    assert "Sway is not excited: drive sideways to either side." in text
+    assert "surgeyes−0.2 ▁ █ 1.1 m/s1.2 %2 %10 %30 %" in text
+    assert "swayno−0.2 ▁ █ 1.1 m/s> 100 %> 100 %> 100 %> 100 %" in text
+    said = {
+        axis["dof"]: axis for axis in json.loads((report.parent / "diagnosis.json").read_text())["excitation"]
+    }
+    assert said["yaw"]["relative_std"]["quadratic"] == 0.25
+    assert said["surge"]["excited"] == "yes" and said["surge"]["velocity_range"] == [-0.2, 1.1]
 
 
 def test_the_page_stands_alone(report):

@@ -27,7 +27,7 @@ from jaxmarine.simulation import gates, hold, initial_state, inputs, simulate, s
 from jaxmarine.vehicle import Input, Placed
 from jaxmarine.vehicle_io import load_vehicle
 from tests.crafts import (
-    PACKAGED,
+    SIMULATED,
     brick,
     independent,
     independent_run,
@@ -198,7 +198,7 @@ def test_a_clock_may_count_from_1970():
 # --- energy and symmetry ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", PACKAGED)
+@pytest.mark.parametrize("name", SIMULATED)
 def test_energy_never_grows_in_still_water_without_thrust(name):
     vehicle = packaged(name)
     damping = np.asarray(vehicle.damping.linear)
@@ -298,10 +298,16 @@ EVERYTHING = [
     blind.Effect("velocity_lever_arm", None, {"x": 0.3, "y": -0.2}),
 ]
 # Of the independent plant; the minesniper's roll and the remotely operated vehicles are stiff.
-STEP = {"tethra": 0.01, "minesniper": 0.005, "bluerov2_heavy": 0.005, "cybership2": 0.02}
+STEP = {
+    "tethra": 0.01,
+    "tethra_geometry": 0.01,
+    "minesniper": 0.005,
+    "bluerov2_heavy": 0.005,
+    "cybership2": 0.02,
+}
 
 
-@pytest.mark.parametrize("name", PACKAGED)
+@pytest.mark.parametrize("name", SIMULATED)
 def test_the_stepped_file_is_the_independent_plant(name):
     vehicle = packaged(name)
     commands = random_commands(vehicle, 50, 10, seed=6)
@@ -313,7 +319,7 @@ def test_the_stepped_file_is_the_independent_plant(name):
     assert np.abs(unwrapped(track.channels - expected))[:, :12].max() < 2e-3
 
 
-@pytest.mark.parametrize("name", PACKAGED)
+@pytest.mark.parametrize("name", SIMULATED)
 def test_the_plant_with_effects_is_the_independent_plant(name):
     vehicle = packaged(name)
     commands = random_commands(vehicle, 50, 10, seed=6)

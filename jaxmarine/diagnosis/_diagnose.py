@@ -142,6 +142,7 @@ def diagnose(
         predictions=measured[1],
         missing_before=missing_wrench(knots(bench, start)),
         missing_after=missing_wrench(now.knots),
+        check=bench.check(now.model),
         train=tuple(log.name for log in logs),
         test=test.name,
         notes=tuple(dict.fromkeys(notes)),

@@ -14,11 +14,14 @@ from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
     Affine,
+    Check,
     Cut,
     Problem,
     Room,
     Segments,
     Task,
+    coefficient_name,
+    evaluated,
     linearise,
     predict,
     refine_windows,
@@ -42,6 +45,12 @@ SEGMENTS = 4
 KNOT = 0.5
 # How far coefficients of a vehicle file are commonly wrong, relative to their value.
 FILE_ERROR = 0.1
+# The file's coefficients by the effects that change them.
+_KINDS = {
+    AddedMass.name: "added_mass",
+    LinearDamping.name: "damping.linear",
+    QuadraticDamping.name: "damping.quadratic",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -417,6 +426,16 @@ class Workbench:
         whole = Reduced(*(np.asarray(a)[: self.count] for a in stats.reduced()))
         self._screened = (model, whole)
         return whole
+
+    def check(self, model: Model) -> Check:
+        """What the logs tell of the file's coefficients, at the model."""
+        z = np.zeros(SLOTS)
+        z[: len(model.z)] = model.z
+        task = self.task(model)
+        # One step leaves the statistics where it began.
+        refined = refine_windows(task, jnp.asarray(z), model.delta, 1)
+        names = [coefficient_name(_KINDS[c.label.partition(":")[0]], DOFS[c.axis]) for c in self.base]
+        return evaluated(self.vehicle, self.data.logs, task, refined, names, self.data.length)
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns (in the screening's order) that the model already has; prior precision; z."""

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from ..fitting import Check
 from ..vehicle import Vehicle
 
 Verdict = Literal["nothing_found", "explained", "partly_explained", "unexplained"]
@@ -135,6 +136,7 @@ class Diagnosis:
     - `groups`: sets of labels that these logs cannot tell apart.
     - `depends_on`: signals that the residual depends on after the named findings and before any learned
       term; `white`: nothing but sensor noise is left.
+    - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; 1 is noise.
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
     """
@@ -154,6 +156,7 @@ class Diagnosis:
     predictions: Predictions
     missing_before: MissingWrench
     missing_after: MissingWrench
+    check: Check
     train: tuple[str, ...]
     test: str
     notes: tuple[str, ...] = ()
@@ -184,4 +187,19 @@ class Diagnosis:
                 "held_out": self.gain.held_out,
             },
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
+            "excitation": [
+                {
+                    "dof": axis.dof,
+                    "excited": axis.excited,
+                    "velocity_rms": axis.coverage.velocity_rms,
+                    "velocity_range": list(axis.coverage.velocity_range),
+                    "relative_std": {
+                        "inertia": axis.inertia,
+                        "damping": axis.damping,
+                        "linear": axis.linear,
+                        "quadratic": axis.quadratic,
+                    },
+                }
+                for axis in self.check.axes
+            ],
         }

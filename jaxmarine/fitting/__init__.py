@@ -1,5 +1,26 @@
 """From logs to parameters: windows, their linearisation, and the solvers on it."""
 
+from ._check import (
+    AxisCheck as AxisCheck,
+)
+from ._check import (
+    Check as Check,
+)
+from ._check import (
+    check as check,
+)
+from ._check import (
+    coefficient_name as coefficient_name,
+)
+from ._check import (
+    evaluated as evaluated,
+)
+from ._check import (
+    percent as percent,
+)
+from ._check import (
+    sparkline as sparkline,
+)
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit

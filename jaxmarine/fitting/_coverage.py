@@ -8,14 +8,24 @@ import numpy as np
 from .._types import CHANNELS, DOFS
 from ..logs import Log, smooth_states
 
+# Of the range of a velocity, for the time spent in each.
+_PARTS = 9
+
 
 @dataclasses.dataclass(frozen=True)
 class AxisCoverage:
-    """Standard deviation and range of an axis' velocity and acceleration [m, rad, s]."""
+    """Standard deviation and range of an axis' velocity and acceleration [m, rad, s].
+
+    - `velocity_rms`: root mean square; `velocity_middle`: what it stays within for 90 % of the time.
+    - `velocity_shares`: of the time, in equal parts of `velocity_range`.
+    """
 
     dof: str
     velocity_std: float
+    velocity_rms: float
     velocity_range: tuple[float, float]
+    velocity_middle: tuple[float, float]
+    velocity_shares: tuple[float, ...]
     acceleration_std: float
     acceleration_range: tuple[float, float]
 
@@ -32,8 +42,19 @@ def coverage(logs: Sequence[Log], dof: Sequence[str]) -> tuple[AxisCoverage, ...
     for i, name in enumerate(DOFS):
         if name in dof:
             v, a = nu[:, i], nu_dot[:, i][np.isfinite(nu_dot[:, i])]
-            ranges = [(float(x.min()), float(x.max())) for x in (v, a)]
-            out.append(AxisCoverage(name, float(v.std()), ranges[0], float(a.std()), ranges[1]))
+            low, high = np.quantile(v, (0.05, 0.95)).tolist()
+            out.append(
+                AxisCoverage(
+                    dof=name,
+                    velocity_std=float(v.std()),
+                    velocity_rms=float(np.sqrt((v**2).mean())),
+                    velocity_range=(float(v.min()), float(v.max())),
+                    velocity_middle=(low, high),
+                    velocity_shares=tuple((np.histogram(v, _PARTS)[0] / len(v)).tolist()),
+                    acceleration_std=float(a.std()),
+                    acceleration_range=(float(a.min()), float(a.max())),
+                )
+            )
     return tuple(out)
 
 

@@ -61,7 +61,7 @@ def fit_trajectory(
     z, best = np.zeros(len(units.precision)), None
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     while True:
-        task = _task(freed, units, data, acting, split, held)
+        task = window_task(freed, units, data, acting, split, held)
         nothing = jnp.zeros((data.windows.count, 12))
         refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
         steps += int(refined.steps)
@@ -76,7 +76,7 @@ def fit_trajectory(
         split, z, best = needed, now.z, now
 
 
-def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
+def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
     vehicle, count = freed.vehicle, len(acting.gates)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
@@ -110,7 +110,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refine
         raw=np.asarray(freed.start) + units.map @ z,
         scores=np.asarray(scores),
         information=np.asarray(information),
-        spurious=_spurious(task, refined),
+        spurious=spurious(task, refined),
         chi2=float(chi2.sum()),
         freedom=samples - (12 * data.windows.count - float(loose)) - len(z),
         steps=steps,
@@ -119,7 +119,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refine
     )
 
 
-def _spurious(task: Task, refined: Refined) -> np.ndarray:
+def spurious(task: Task, refined: Refined) -> np.ndarray:
     """Information that the noise in the estimated initial states pretends.
 
     A vehicle at rest seems to move by what its initial states were fitted to noise, and that seems
@@ -131,7 +131,9 @@ def _spurious(task: Task, refined: Refined) -> np.ndarray:
         return there
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
-    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws))
+    # Windows that only fill up an array have nothing that would hold their draws.
+    used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
+    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used[:, None])
     both = []
     for sign in (1.0, -1.0):
         # One step leaves the statistics where it began, by a program that is compiled already.

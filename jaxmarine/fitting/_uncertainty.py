@@ -89,7 +89,7 @@ def uncertainty(freed: Freed, scales: Scales, units: Units, estimate: Estimate) 
         covariance_sandwich=sandwich,
         information=eigenvalues,
         undetermined=tuple(
-            Combination(float(eigenvalue), _named(freed.names, vector))
+            Combination(float(eigenvalue), named(freed.names, vector))
             for eigenvalue, vector in zip(eigenvalues, vectors.T, strict=True)
             if eigenvalue < UNDETERMINED
         ),
@@ -125,7 +125,7 @@ def _scaled_information(information: np.ndarray, by_z: np.ndarray) -> tuple[np.n
     return np.maximum(eigenvalues, 0.0), vectors
 
 
-def _named(names: tuple[str, ...], vector: np.ndarray) -> tuple[tuple[str, float], ...]:
+def named(names: tuple[str, ...], vector: np.ndarray) -> tuple[tuple[str, float], ...]:
     order = np.argsort(-np.abs(vector))
     large = [k for k in order if abs(vector[k]) >= _NAMED] or [order[0]]
     return tuple((names[k], float(vector[k])) for k in large)

@@ -38,3 +38,21 @@ from ._frames import (
 from ._frames import (
     to_euler_matrix as to_euler_matrix,
 )
+from ._geometry import (
+    AbstractSolid as AbstractSolid,
+)
+from ._geometry import (
+    Assembly as Assembly,
+)
+from ._geometry import (
+    Box as Box,
+)
+from ._geometry import (
+    Cylinder as Cylinder,
+)
+from ._geometry import (
+    Element as Element,
+)
+from ._geometry import (
+    Sphere as Sphere,
+)

@@ -10,7 +10,10 @@ import jinja2
 import markupsafe
 from plotly.offline import get_plotlyjs
 
+from .._types import DOFS
 from ..diagnosis._result import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
+from ..fitting import AxisCheck, sparkline
+from ..fitting import percent as relative
 from . import _words as words
 from ._causes import kind, title, what
 from ._curves import compared, leading, measured_channels, taken_suspects
@@ -83,6 +86,7 @@ def page(diagnosis: Diagnosis) -> str:
         held_out=words.held_out(diagnosis),
         gains=_gains(diagnosis),
         horizon=number(diagnosis.gain.horizon),
+        told=[_told(axis) for axis in diagnosis.check.axes],
         done=_done(diagnosis),
         plotly=markupsafe.Markup(get_plotlyjs()),
     )
@@ -235,6 +239,15 @@ def _pair(errors: BeforeAfter | None, unit: str) -> tuple[str, str, str]:
         return "not measured", "not measured", "–"
     left = percent(errors.after / errors.before) if errors.before else "–"
     return f"{number(errors.before)} {unit}", f"{number(errors.after)} {unit}", left
+
+
+def _told(axis: AxisCheck) -> tuple[str, str, str, str, str, list[str]]:
+    """Axis, whether it is excited, its slowest velocity, bars, its fastest, relative errors."""
+    low, high = (number(v, 2) for v in axis.coverage.velocity_range)
+    unit = "m/s" if axis.dof in DOFS[:3] else "rad/s"
+    errors = (axis.inertia, axis.damping, axis.linear, axis.quadratic)
+    bars = sparkline(axis.coverage.velocity_shares)
+    return axis.dof, axis.excited, low, bars, f"{high} {unit}", [relative(e) for e in errors]
 
 
 def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:

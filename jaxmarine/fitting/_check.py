@@ -1,0 +1,356 @@
+"""What a log can tell: how strongly it moves each axis, and which coefficients that determines.
+
+The information matrix of one linearisation at the vehicle file stands for all fits of the log: nothing is
+fitted but the windows' initial states.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import InputError
+from .._types import CHANNELS, DOFS, SENSORS
+from ..logs import Log
+from ..simulation import substeps
+from ..vehicle import Vehicle
+from ._advice import advice
+from ._coverage import AxisCoverage, coverage
+from ._estimate import Units
+from ._fit import noise_of
+from ._free import set_free
+from ._linearise import Problem, predict
+from ._solver import Refined, Task, refine_windows
+from ._trajectory import segments, spurious, window_task
+from ._uncertainty import UNDETERMINED, Combination, named
+from ._windows import cut
+
+# Standard error, relative to the typical size, from which a number counts as not determined.
+KNOWN = UNDETERMINED**-0.5
+# Least eigenvalue of the scaled information: errors of more than a hundred sizes are all the same.
+_FLOOR = 1e-4
+# Precision of coefficients that are held, in units of their typical size.
+_HELD = 1e12
+
+Kind = Literal["added_mass", "damping.linear", "damping.quadratic"]
+_KINDS: tuple[Kind, ...] = ("added_mass", "damping.linear", "damping.quadratic")
+_BARS = " ▁▂▃▄▅▆▇█"
+# Lines of undetermined combinations that a printed check shows.
+_SHOWN = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient:
+    """A diagonal coefficient of the vehicle file, and its standard error if this log were fitted.
+
+    `size` is what the error is judged by: the value, of added mass the whole inertia of the axis, and where
+    the file says zero a typical one. `value`, `std` and `size` in SI units.
+    """
+
+    name: str  # such as damping.linear[surge]
+    kind: Kind
+    dof: str
+    value: float
+    size: float
+    std: float
+
+    @property
+    def relative(self) -> float:
+        """Standard error over typical size."""
+        return self.std / self.size
+
+    @property
+    def determined(self) -> bool:
+        """Whether the standard error is below a third of the typical size."""
+        return self.relative < KNOWN
+
+
+@dataclasses.dataclass(frozen=True)
+class AxisCheck:
+    """What a log tells of one axis.
+
+    - `coverage`: velocities and accelerations seen.
+    - `inertia`, `linear`, `quadratic`: relative standard errors of the axis' coefficients.
+    - `damping`: that of the whole damping force at the axis' root-mean-square velocity.
+    - `scatter`: how much more than by sensor noise a fit of this file would scatter from window to window;
+      about 1 where the file explains the log, more where it misses something: errors grow by as much.
+    - `driven`: whether a thruster acts along the axis (always, where the log has a wrench).
+    """
+
+    dof: str
+    coverage: AxisCoverage
+    inertia: float
+    linear: float
+    quadratic: float
+    damping: float
+    scatter: float
+    driven: bool
+
+    @property
+    def excited(self) -> Literal["yes", "partly", "no"]:
+        """`no`: neither inertia nor damping force is known to a third; `yes`: every coefficient is."""
+        if min(self.inertia, self.damping) >= KNOWN:
+            return "no"
+        return "yes" if max(self.inertia, self.linear, self.quadratic) < KNOWN else "partly"
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Check:
+    """What logs can tell of a vehicle. `print(check)` shows the table and what to do next.
+
+    - `axes`: per free axis the motion seen, and how well it determines the axis.
+    - `coefficients`: added mass, linear and quadratic damping of each axis (diagonal) with the standard
+      errors that a fit of all of them together would have, thrust taken as known and the model as right.
+    - `information` [coefficients]: eigenvalues of the information in units of typical sizes, rising;
+      `undetermined`: the combinations below 9, whose standard error is above a third.
+    - `misfit`: chi-square per sample of the file, 1 for noise alone.
+    - `advice`: what to do next, sentence by sentence.
+    - `logs`: their names; `duration` [s]; `windows` of the length `window` [s].
+    """
+
+    vehicle: str
+    logs: tuple[str, ...]
+    duration: float
+    windows: int
+    window: float
+    axes: tuple[AxisCheck, ...]
+    coefficients: tuple[Coefficient, ...]
+    information: Float[np.ndarray, " coefficients"]
+    undetermined: tuple[Combination, ...]
+    misfit: float
+    advice: tuple[str, ...]
+
+    def __getitem__(self, dof: str) -> AxisCheck:
+        """The axis of that name, such as `pitch`."""
+        return {axis.dof: axis for axis in self.axes}[dof]
+
+    def __repr__(self) -> str:
+        determined = sum(c.determined for c in self.coefficients)
+        logs = ", ".join(self.logs) if len(self.logs) < 3 else f"{len(self.logs)} logs"
+        head = (
+            f"What {logs} can tell of {self.vehicle}: {determined} of "
+            f"{len(self.coefficients)} coefficients ({self.duration:.0f} s, {self.windows} windows of "
+            f"{self.window:g} s)"
+        )
+        lines = [head, "", *_table(self.axes), ""]
+        lines += [f"not determined by the data: {one}" for one in self.undetermined[:_SHOWN]]
+        more = len(self.undetermined) - _SHOWN
+        lines += [f"... and {more} more such combinations"] if more > 0 else []
+        lines += [f"next: {sentence}" for sentence in self.advice]
+        return "\n".join(lines)
+
+
+def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -> Check:
+    """How strongly and where logs excite a vehicle, which coefficients they determine, what to do next.
+
+    Thesis, sec. 5.3, asks for such an evaluation of a data set before it is used.
+
+    - `logs`: one or several, in the order in which they were recorded.
+    - `window` [s]: length of the windows, as in `fit`.
+
+    A coefficient counts as determined where the standard error that a fit of all diagonal added masses and
+    dampings would give it is below a third of its typical size; an axis as not excited where neither its
+    inertia nor its damping force is. Information that only the noise in the initial states pretends is left
+    out. Sensors whose noise the vehicle does not state are taken to be no better than the file predicts them
+    in the median window, so that filtered measurements do not seem to tell everything. Raises
+    `InputError` where the logs are shorter than two windows.
+    """
+    logs = (logs,) if isinstance(logs, Log) else tuple(logs)
+    if not logs:
+        raise InputError("A check needs at least one log.")
+    if not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "A check needs double precision: call `jax.config.update('jax_enable_x64', True)` first."
+        )
+    freed, scales = _diagonals(vehicle)
+    acting = segments(vehicle, logs)
+    split = substeps(vehicle, float(np.median([log.dt for log in logs])))
+    noise = noise_of(vehicle, logs)
+    data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
+    count = len(freed.names)
+    units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
+    task = window_task(freed, units, data, acting, split, False)
+    refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
+    stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
+    estimated = np.isfinite(noise) & np.array([name not in stated for name in CHANNELS])
+    if np.isfinite(refined.cost) and estimated.any():
+        task = _at_residual(task, refined, estimated)
+        refined = refine_windows(task, refined.z, refined.delta)
+    if not np.isfinite(refined.cost):
+        raise InputError(
+            f"{logs[0].name}: the simulation of {vehicle.name} runs away on it; check the signs of damping "
+            "and added mass."
+        )
+    return evaluated(vehicle, logs, task, refined, freed.names, window)
+
+
+def evaluated(
+    vehicle: Vehicle, logs: Sequence[Log], task: Task, refined: Refined, names: Sequence[str], window: float
+) -> Check:
+    """The check from windows whose initial states are fitted already.
+
+    - `names`: of the first z of the task, each a diagonal coefficient in its own units (`coefficient_name`);
+      an axis is judged where all three of its coefficients are among them.
+    """
+    chi2, scores, information = (np.asarray(a) for a in refined.stats.reduced())
+    weight = np.asarray(task.problem.windows.weight) > 0
+    used = weight.any(axis=(1, 2))
+    freed, scales = _diagonals(vehicle)
+    places = [freed.names.index(name) for name in names]
+    size, value = scales.size[places], np.asarray(freed.start)[places]
+    n = len(names)
+    outer = np.outer(size, size)
+    there = information[used, :n, :n].sum(0) * outer
+    eigenvalues, vectors = np.linalg.eigh(there - spurious(task, refined)[:n, :n] * outer)
+    eigenvalues = np.maximum(eigenvalues, 0.0)
+    covariance = (vectors / np.maximum(eigenvalues, _FLOOR)) @ vectors.T
+    scatter = _scatter(scores[used, :n] * size, there)
+    coefficients = tuple(
+        Coefficient(name, kind, dof, float(v), float(s), float(s * np.sqrt(c)))
+        for name, (kind, dof), v, s, c in zip(
+            names, map(_parts, names), value, size, np.diag(covariance), strict=True
+        )
+    )
+    axes = tuple(
+        _axis(one, coefficients, covariance, scatter, _driven(vehicle, logs, one.dof))
+        for one in coverage(logs, vehicle.dof)
+        if sum(c.dof == one.dof for c in coefficients) == len(_KINDS)
+    )
+    misfit = float(chi2[used].sum() / weight.sum())
+    return Check(
+        vehicle=vehicle.name,
+        logs=tuple(log.name for log in logs),
+        duration=sum(log.duration for log in logs),
+        windows=int(used.sum()),
+        window=window,
+        axes=axes,
+        coefficients=coefficients,
+        information=eigenvalues,
+        undetermined=tuple(
+            Combination(float(one), named(tuple(names), vector))
+            for one, vector in zip(eigenvalues, vectors.T, strict=True)
+            if one < UNDETERMINED
+        ),
+        misfit=misfit,
+        advice=advice(axes, KNOWN),
+    )
+
+
+@eqx.filter_jit
+def _residuals(problem: Problem, theta, delta):
+    return predict(problem, theta, delta)[1]
+
+
+def _at_residual(task: Task, refined: Refined, channels: np.ndarray) -> Task:
+    """The task with the noise of some channels raised to the residual.
+
+    At most to what a channel changes by within a window, which is the most that it can be missed by.
+    """
+    windows = task.problem.windows
+    weight = np.asarray(windows.weight)
+    residual = np.asarray(_residuals(task.problem, task.affine.theta, refined.delta))
+    missing = weight == 0
+    squares = np.ma.masked_array(residual, missing) ** 2
+    missed = np.sqrt(np.ma.median(squares.mean(axis=1), axis=0)).filled(1.0)
+    changes = np.ma.masked_array(np.asarray(windows.measured) * weight, missing).std(axis=1)
+    most = changes.mean(axis=0).filled(1.0)
+    factor = np.where(channels, np.maximum(np.minimum(missed, most), 1.0), 1.0)
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight / factor))
+
+
+def coefficient_name(kind: str, dof: str) -> str:
+    """`damping.linear[surge]`: the name of a diagonal coefficient, as a fit calls it."""
+    return f"{kind}[{dof}]"
+
+
+def _parts(name: str) -> tuple[Kind, str]:
+    kind, _, dof = name.removesuffix("]").partition("[")
+    return next(k for k in _KINDS if k == kind), dof
+
+
+def _diagonals(vehicle: Vehicle):
+    """The diagonal coefficients as raw numbers in their own units, and their typical sizes."""
+    return set_free(
+        vehicle,
+        lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic),
+        entries="diagonal",
+        linear=True,
+    )
+
+
+def _scatter(scores: np.ndarray, information: np.ndarray) -> Float[np.ndarray, " coefficients"]:
+    """Standard error by the scatter of the windows' scores over the one by the information.
+
+    The scores' mean is what a fit would remove (to first order), their scatter is what it would leave.
+    """
+    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    steps = (scores - scores.mean(0)) @ inverse
+    variance = (steps**2).sum(0) * len(steps) / max(len(steps) - 1, 1)
+    return np.sqrt(variance / np.maximum(np.diag(inverse), np.finfo(float).tiny))
+
+
+def _axis(
+    seen: AxisCoverage,
+    coefficients: Sequence[Coefficient],
+    covariance: np.ndarray,
+    scatter: np.ndarray,
+    driven: bool,
+) -> AxisCheck:
+    inertia, linear, quadratic = own = [
+        next(i for i, c in enumerate(coefficients) if (c.kind, c.dof) == (kind, seen.dof)) for kind in _KINDS
+    ]
+    # Damping force per velocity at the root-mean-square velocity, as shares of its two parts.
+    shares = np.zeros(len(coefficients))
+    shares[linear] = coefficients[linear].size
+    shares[quadratic] = coefficients[quadratic].size * seen.velocity_rms
+    shares /= shares.sum()
+    determined = [i for i in own if coefficients[i].determined]
+    return AxisCheck(
+        dof=seen.dof,
+        coverage=seen,
+        inertia=coefficients[inertia].relative,
+        linear=coefficients[linear].relative,
+        quadratic=coefficients[quadratic].relative,
+        damping=float(np.sqrt(shares @ covariance @ shares)),
+        scatter=float(np.median(scatter[determined])) if determined else 1.0,
+        driven=driven,
+    )
+
+
+def _driven(vehicle: Vehicle, logs: Sequence[Log], dof: str) -> bool:
+    if any(log.wrench is not None for log in logs):
+        return True
+    pushes = np.abs(np.asarray(vehicle.plant().allocation)) * np.asarray(vehicle.thrusters.max_thrust)
+    # Directions in a file are rounded.
+    return bool(pushes[DOFS.index(dof)].max(initial=0.0) > 1e-3 * pushes.max(initial=0.0))
+
+
+def sparkline(shares: Sequence[float]) -> str:
+    """Time spent in equal parts of a range, as bars."""
+    most = max(shares)
+    return "".join(_BARS[int(np.ceil(share / most * (len(_BARS) - 1)))] for share in shares)
+
+
+def percent(relative: float) -> str:
+    """A relative standard error for a table."""
+    return f"{100 * relative:.2g} %" if relative < 1 else "> 100 %"
+
+
+def _table(axes: Sequence[AxisCheck]) -> list[str]:
+    head = f"{'axis':<6} {'velocity seen (m/s, rad/s)':<33} {'inertia':>8} {'damping':>8} "
+    head += f"{'linear':>8} {'quadr.':>8} {'scatter':>8}  excited"
+    rows = []
+    for axis in axes:
+        low, high = axis.coverage.velocity_range
+        seen = f"{low:>8.2g} {sparkline(axis.coverage.velocity_shares)} {high:<7.2g} rms"
+        seen = f"{seen} {axis.coverage.velocity_rms:.2g}"
+        errors = (axis.inertia, axis.damping, axis.linear, axis.quadratic)
+        rows.append(
+            f"{axis.dof:<6} {seen:<33} " + " ".join(f"{percent(e):>8}" for e in errors) + f"  {axis.excited}"
+        )
+    return [head, "-" * len(head), *rows]
