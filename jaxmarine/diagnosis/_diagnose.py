@@ -18,9 +18,10 @@ from ._answer import extended_by, findings_of, groups, recalibrated, weighed
 from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
 from ._judge import Judged, judged
+from ._kinematics import contradiction
 from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._model import SLOTS, Beginning, Model, Workbench, filled
+from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._result import Diagnosis, Finding, Verdict
 from ._saturated import saturate
 from ._search import STEPS, Found, Round, dispersion, needed, penalty, search
@@ -81,8 +82,10 @@ def diagnose(
             f"{test.name}: measures nothing that {logs[0].name} measures; use a test log with its channels."
         )
     progress("fitting the vehicle file")
-    bench = _rescaled(bench)
-    base = bench.refine(bench.start())
+    begun, told = _begun(bench)
+    notes += told
+    bench = _rescaled(bench, begun)
+    base = bench.refine(begun)
     found = search(bench, base, progress)
     bench = found.bench
     progress("settling what was found")
@@ -206,15 +209,39 @@ def _stuck(bench: Workbench) -> list[str]:
     ]
 
 
-def _rescaled(bench: Workbench) -> Workbench:
+def _unstated(bench: Workbench) -> list[int]:
+    """Channels that are used and whose noise the vehicle file does not state."""
+    stated = {channel for kind, _ in bench.vehicle.sensors for channel in SENSORS[kind]}
+    return [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
+
+
+def _begun(bench: Workbench) -> tuple[Model, list[str]]:
+    """The model to start from, and a note where it has more than the vehicle file.
+
+    A sensor that grossly contradicts the others is told at once where noises are estimated: the estimate
+    would take its error for noise. Where they are stated, the search weighs it with all other causes.
+    """
+    model, suspects = bench.start(), bench.layout.suspects
+    proven = contradiction(bench.vehicle, bench.data.logs, suspects) if _unstated(bench) else None
+    if proven is None:
+        return model, []
+    i, values = proven
+    value = np.array([values[name] for name in suspects[i].slots]) - bench.layout.neutral_of(i)
+    note = (
+        f"Positions, attitude and velocities contradict one another as {suspects[i].label} would make "
+        "them, whatever forces act; it was taken first."
+    )
+    return bench.with_member(model, Member(i), value), [note]
+
+
+def _rescaled(bench: Workbench, begun: Model) -> Workbench:
     """The workbench with the noise of sensors that the file does not state raised to the residual.
 
     A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
     would outweigh all others. From what a channel changes by within a window, which is the most that it
     can be missed by, down to the residual of the file as it is, and of the file recalibrated.
     """
-    stated = {channel for kind, _ in bench.vehicle.sensors for channel in SENSORS[kind]}
-    free = [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
+    free = _unstated(bench)
     if not free:
         return bench
     own = bench.noise[free]
@@ -222,12 +249,12 @@ def _rescaled(bench: Workbench) -> Workbench:
     values = np.ma.masked_array(bench.data.windows.measured, ~seen)
     most = np.fmax(own, values.std(axis=1).mean(axis=0).filled(0.0)[free])
     bench = _weighted(bench, free, most)
-    for model in (bench.frozen(bench.start()), bench.start()):
+    for model in (bench.frozen(begun), begun):
         missed = (bench.residual_rms(bench.refine(model)) * bench.noise)[free]
         bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
     # Such residuals are alike from sample to sample: each weighs as little against the priors as their
     # scores scatter.
-    model = bench.refine(bench.start())
+    model = bench.refine(begun)
     alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
     return _weighted(bench, free, alike * bench.noise[free])
 

@@ -1,64 +1,123 @@
 """Sensors that contradict one another, whatever forces act.
 
-Positions, attitude and velocities belong together by kinematics alone. With a free wrench on the hull in
-every knot no force can explain a contradiction between them, nor be blamed for one: what a sensor's error
-still saves then, it saves on the sensors' own evidence.
+Positions, attitude and velocities belong together by kinematics alone. Where they do not, no force can be
+the cause, and no model of forces is needed to see it; a model that follows wrong velocities would only
+make the contradiction look like noise.
 """
 
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
-from ..effects import SensorEffect
-from ._model import Member, Model, Workbench
-from ._score import Reduced, solve, t_value
-from ._search import SIGMAS, dispersion, needed
+from ..effects import AbstractEffect, Readings, SensorEffect, Suspect, place
+from ..fitting import levenberg_marquardt
+from ..logs import Log
+from ..vehicle import Vehicle
+from ._score import t_value
 
-# Pull of a knot's wrench to zero, relative to what its window says of it: none but for rounding.
-FREE = 1e-6
-
-
-def without_forces(bench: Workbench, model: Model) -> Reduced:
-    """The screening's statistics with a free wrench in every knot eliminated from each window."""
-    whole = bench.screen_with_knots(model)
-    n = len(bench.known(model)[0])
-    h, g = whole.h[:, n:, n:], whole.g[:, n:]
-    size = np.sqrt(np.maximum(np.einsum("wii->wi", h), 1e-300))
-    scaled = h / (size[:, :, None] * size[:, None, :]) + FREE * np.eye(h.shape[1])
-    cross = whole.h[:, n:, :n] / size[:, :, None]
-    by_columns = np.linalg.solve(scaled, cross)
-    by_residual = np.linalg.solve(scaled, (g / size)[..., None])[..., 0]
-    return Reduced(
-        whole.chi2 - (g / size * by_residual).sum(1),
-        whole.g[:, :n] - np.einsum("wkn,wk->wn", cross, by_residual),
-        whole.h[:, :n, :n] - np.swapaxes(cross, 1, 2) @ by_columns,
-    )
+# Stretch over which a velocity is read from positions [s]: long against their rounding, short against turns.
+SPAN = 1.0
+# Stretches that must be there.
+FEWEST = 8
+# Standard errors (over stretches) by which an explanation must help, and nats beyond its parameters.
+SIGMAS, MARGIN = 4.0, 10.0
+# The residual of some channel must fall below this part: what is smaller is left to the search.
+GROSS = 0.5
+# Refits with each channel weighed by what the last one has left of it.
+REFITS = 3
 
 
-def contradiction(bench: Workbench, model: Model) -> tuple[Member, np.ndarray] | None:
-    """The sensor's error that the sensors prove against one another, with its parameters minus neutral."""
-    stats = without_forces(bench, model)
-    known, precision, z = bench.known(model)
-    phi = dispersion(bench, model, stats)
-    best: tuple[float, Member, np.ndarray] | None = None
-    for i in bench.open(model):
-        if not issubclass(bench.layout.suspects[i].effect, SensorEffect):
+@dataclasses.dataclass(frozen=True)
+class Kinematics:
+    """Per stretch and sample what positions and attitude say of the motion, and what was logged of it.
+
+    - `rotation` body to world; `nu` [m/s, rad/s]: body velocities of the mean motion over the stretch.
+    - `logged`: the mean of each logged velocity over the stretch, NaN where not measured.
+    """
+
+    rotation: Float[np.ndarray, "stretches samples 3 3"]
+    nu: Float[np.ndarray, "stretches samples 6"]
+    logged: Float[np.ndarray, "stretches 6"]
+
+
+def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
+    """Those of logs, end to end; None where too few stretches have all free positions and angles."""
+    rotations, motions, logged = [], [], []
+    locked = vehicle.free == 0
+    size = max(2, round(SPAN / float(np.median([log.dt for log in logs]))))
+    for log in logs:
+        poses = np.where(locked, 0.0, log.channels[:, :6])
+        for first in range(0, len(log.t) - size, size):
+            here = slice(first, first + size + 1)
+            span = log.t[first + size] - log.t[first]
+            if not np.isfinite(poses[here]).all() or span > 1.5 * size * log.dt:
+                continue
+            turns = Rotation.from_euler("ZYX", poses[here, :2:-1])
+            velocity = turns.inv().apply((poses[here][-1, :3] - poses[here][0, :3]) / span)
+            rate = (turns[0].inv() * turns[-1]).as_rotvec() / span
+            rotations.append(turns.as_matrix())
+            motions.append(np.concatenate([velocity, np.tile(rate, (size + 1, 1))], axis=1))
+            logged.append(np.where(locked, np.nan, log.channels[here, 6:12].mean(axis=0)))
+    if len(logged) < FEWEST:
+        return None
+    return Kinematics(np.array(rotations), np.array(motions), np.array(logged))
+
+
+def contradiction(
+    vehicle: Vehicle, logs: Sequence[Log], suspects: Sequence[Suspect]
+) -> tuple[int, dict[str, float]] | None:
+    """The place of the suspect that puts grossly contradictory sensors right, and its parameters.
+
+    By the likelihood of the logged velocities given those that positions and attitude show, with each
+    channel's scatter unknown. None where the sensors agree, or where not all of them were logged.
+    """
+    seen = kinematics(vehicle, logs)
+    if seen is None or not np.isfinite(seen.logged).any():
+        return None
+    known = np.isfinite(seen.logged)
+    count = np.maximum(known.sum(axis=0), 1)
+    best, found = MARGIN, None
+
+    def errors(effect: AbstractEffect):
+        def shown(nu, turn):
+            readings = Readings(jnp.zeros(3), jnp.zeros(3), nu, jnp.zeros(6))
+            assert isinstance(effect, SensorEffect)
+            return effect(readings, turn).nu
+
+        predicted = jax.vmap(jax.vmap(shown))(jnp.asarray(seen.nu), jnp.asarray(seen.rotation)).mean(axis=1)
+        return jnp.where(known, predicted - jnp.nan_to_num(seen.logged), 0.0)
+
+    def misfit(values, args, suspect: Suspect):
+        return errors(place(suspect, vehicle, values)) / args
+
+    for i, suspect in enumerate(suspects):
+        if not issubclass(suspect.effect, SensorEffect):
             continue
-        columns = np.concatenate([known, bench.own(i)], axis=1)
-        held = np.concatenate([precision, np.zeros(columns.shape[1] - len(z))])
-        g = stats.g @ columns
-        h = np.swapaxes(stats.h @ columns, 1, 2) @ columns
-        pull = np.concatenate([precision * z, np.zeros(len(held) - len(z))])
-        step = -solve(h.sum(0) + np.diag(held), g.sum(0) + pull)
-        alone = np.zeros_like(step)
-        alone[: len(z)] = -solve(
-            h.sum(0)[: len(z), : len(z)] + np.diag(precision), (g.sum(0) + pull)[: len(z)]
-        )
-        each = [2 * g @ s + np.einsum("wab,a,b->w", h, s, s, optimize=True) for s in (alone, step)]
-        lost = each[0] - each[1]
-        saved, member = float(lost.sum()), Member(i)
-        if (
-            saved > needed(bench, member, phi)
-            and t_value(lost) > SIGMAS
-            and (best is None or saved > best[0])
-        ):
-            best = saved, member, step[len(z) :]
-    return None if best is None else (best[1], best[2])
+        neutral, _ = jax.flatten_util.ravel_pytree(suspect.effect.neutral(vehicle))
+        values = {name: neutral[slots[0]] for name, slots in suspect.slots.items()}
+        before = np.asarray(errors(place(suspect, vehicle, values)))
+        after, fn = before, functools.partial(misfit, suspect=suspect)
+        for _ in range(REFITS):
+            starts = {name: value[None] for name, value in values.items()}
+            values = levenberg_marquardt(fn, starts, jnp.asarray(_rms(after, count))).best
+            after = np.asarray(errors(place(suspect, vehicle, values)))
+        scatter, spread = _rms(before, count), _rms(after, count)
+        if not np.isfinite(after).all() or (spread / scatter).min() > GROSS:
+            continue
+        evidence = float((known.sum(axis=0) * np.log(scatter / spread)).sum())
+        evidence -= 0.5 * len(values) * np.log(known.sum())
+        each = ((before**2 - after**2) / spread**2).sum(axis=1)
+        if evidence > best and t_value(each) > SIGMAS:
+            best, found = evidence, (i, {name: float(value) for name, value in values.items()})
+    return found
+
+
+def _rms(errors: Float[np.ndarray, "stretches 6"], count: Int[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+    return np.maximum(np.sqrt((errors**2).sum(axis=0) / count), 1e-9)

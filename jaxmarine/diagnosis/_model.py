@@ -317,13 +317,18 @@ class Workbench:
         n (s1² - s2²) / s² becomes n log(s1² / s2²), with n the chi-square before: the number of samples
         that count.
         """
-        plain = 2 * (before.cost - after.cost)
-        if not self.loose or not np.isfinite(plain):
-            return plain
-        a, b = (self.channel_chi2(model)[list(self.loose)] for model in (before, after))
-        seen = (a > 0) & (b > 0)
-        a, b = a[seen], b[seen]
-        return plain + float((a * np.log(a / b) - (a - b)).sum())
+        if not self.loose:
+            return 2 * (before.cost - after.cost)
+        a, b = self.channel_chi2(before), self.channel_chi2(after)
+        each = a - b
+        both = np.isin(np.arange(len(a)), self.loose) & (a > 0) & (b > 0)
+        each[both] = a[both] * np.log(a[both] / b[both])
+        return float(each.sum()) + self._held(before) - self._held(after)
+
+    def _held(self, model: Model) -> float:
+        """What the priors on z and on the initial states cost."""
+        start = self._problem.start_precision * model.delta**2
+        return float(self._precision(model) @ model.z**2) + float(start.sum())
 
     def reweighed(self, noise: Float[np.ndarray, "18"], loose: tuple[int, ...]) -> "Workbench":
         """The same with another noise of its channels."""
@@ -334,7 +339,10 @@ class Workbench:
         return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split, loose)
 
     def sharpened(self, before: Model, after: Model) -> "Workbench":
-        """The same with unknown noises as much smaller as a better model has made their residuals."""
+        """The same with unknown noises as much smaller as a better model has made their residuals.
+
+        Itself, where all noises are stated.
+        """
         if not self.loose:
             return self
         a, b = (self.channel_chi2(model) for model in (before, after))

@@ -139,7 +139,7 @@ class SensorEffect(AbstractEffect):
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings: ...
 
 
-def place(suspect: Suspect, craft: Craft, values: Mapping[str, float]) -> AbstractEffect:
+def place(suspect: Suspect, craft: Craft, values: Mapping[str, float | Scalar]) -> AbstractEffect:
     """The effect with the suspect's parameters at `values` and all others neutral."""
     neutral = suspect.effect.neutral(craft)
     flat, unravel = jax.flatten_util.ravel_pytree(neutral)
