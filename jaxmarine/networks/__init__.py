@@ -1,5 +1,7 @@
 """Learned terms inside the physics."""
 
+from ._coefficients import CoefficientDamping as CoefficientDamping
+from ._coefficients import coefficient_damping as coefficient_damping
 from ._damping import MLPDamping as MLPDamping
 from ._damping import mlp_damping as mlp_damping
 from ._learned import (
@@ -17,3 +19,6 @@ from ._learned import (
 from ._learned import (
     signals_known as signals_known,
 )
+from ._seen import Seen as Seen
+from ._thrust import LearnedThrust as LearnedThrust
+from ._thrust import learned_thrust as learned_thrust
