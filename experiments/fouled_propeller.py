@@ -118,8 +118,6 @@ def fitted(start: jm.Vehicle, log: jm.Log, steps: int) -> jm.Fit:
 def steady(
     vehicle: jm.Vehicle, command: Float[np.ndarray, " commands"]
 ) -> Float[np.ndarray, "commands thrusters"]:
-    vehicle: jm.Vehicle, command: Float[np.ndarray, " commands"]
-) -> Float[np.ndarray, "commands thrusters"]:
     """Thrust [N] of each thruster after the lag, for commands that are held."""
     at_rest = dataclasses.replace(vehicle.plant().drive, lag=jnp.zeros(len(vehicle.thruster_names)))
     commands = jnp.asarray(np.repeat(command[:, None], len(vehicle.thruster_names), axis=1))
@@ -128,8 +126,6 @@ def steady(
 
 
 def true_thrust(
-    truth: jm.Vehicle, command: Float[np.ndarray, " commands"]
-) -> Float[np.ndarray, "commands thrusters"]:
     truth: jm.Vehicle, command: Float[np.ndarray, " commands"]
 ) -> Float[np.ndarray, "commands thrusters"]:
     """The same of the ship as it is."""
