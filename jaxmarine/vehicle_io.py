@@ -10,14 +10,14 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import CoefficientDamping, LearnedThrust, LearnedWrench, MLPDamping, signals_known
+from .networks import LearnedThrust, LearnedWrench, MLPDamping, signals_known
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
 
 # Learned terms that are made from their arrays and their inputs alone.
-_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, CoefficientDamping, LearnedThrust)}
+_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, LearnedThrust)}
 _LEARNED = (LearnedWrench.name, *_OF_ARRAYS)
-_Learned = LearnedWrench | MLPDamping | CoefficientDamping | LearnedThrust
+_Learned = LearnedWrench | MLPDamping | LearnedThrust
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -51,7 +51,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
         if entry.arrays is None or not entry.inputs or entry.inputs != file.thruster_names:
             raise ValueError("is a learned thrust and needs `arrays`, and all thrusters as `inputs`.")
         return
-    if entry.effect in _OF_ARRAYS:
+    if entry.effect == MLPDamping.name:
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
             raise ValueError("is a learned damping and needs `arrays`, and free axes as `inputs`.")
         return

@@ -1,7 +1,5 @@
 """Learned terms inside the physics."""
 
-from ._coefficients import CoefficientDamping as CoefficientDamping
-from ._coefficients import coefficient_damping as coefficient_damping
 from ._damping import MLPDamping as MLPDamping
 from ._damping import mlp_damping as mlp_damping
 from ._learned import (

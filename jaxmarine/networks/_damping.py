@@ -13,6 +13,10 @@ from .._types import DOFS, Wrench
 from ..effects import Craft, Motion, Suspect, WrenchEffect
 from ._seen import Seen
 
+# Equinox' first weights are below one over the root of the inputs: over inputs of one the units would
+# all be straight lines, and their solve long. So steep, each bends somewhere in the data.
+_STEEP = 3.0
+
 
 class MLPDamping(WrenchEffect):
     r"""Damping beside that of the vehicle, $\tau_a = \gamma(\nu_r) s_o (f(\nu_r / s_i) - f(0))$ on some axes.
@@ -119,7 +123,12 @@ def mlp_damping(
         dtype=jnp.result_type(float),
         key=key,
     )
-    network = eqx.tree_at(lambda net: net.layers[-1].weight, network, replace_fn=jnp.zeros_like)
+    first = network.layers[0]
+    network = eqx.tree_at(
+        lambda net: (net.layers[0].weight, net.layers[0].bias, net.layers[-1].weight),
+        network,
+        (_STEEP * first.weight, _STEEP * first.bias, jnp.zeros_like(network.layers[-1].weight)),
+    )
     arrays, frame = eqx.partition(network, eqx.is_array)
     return MLPDamping(
         network=arrays,
