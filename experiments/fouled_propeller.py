@@ -119,10 +119,16 @@ def steady(
     vehicle: jm.Vehicle, command: Float[np.ndarray, " commands"]
 ) -> Float[np.ndarray, "commands thrusters"]:
     """Thrust [N] of each thruster after the lag, for commands that are held."""
-    at_rest = dataclasses.replace(vehicle.plant().drive, lag=jnp.zeros(len(vehicle.thruster_names)))
-    commands = jnp.asarray(np.repeat(command[:, None], len(vehicle.thruster_names), axis=1))
-    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), at_rest)
-    return np.asarray(thrust(drive, jnp.arange(float(len(command))), commands).instant)
+    return np.asarray(_steady(vehicle, jnp.asarray(command)))
+
+
+@eqx.filter_jit
+def _steady(vehicle: jm.Vehicle, command):
+    count = len(vehicle.thruster_names)
+    commands = jnp.broadcast_to(command[:, None], (len(command), count))
+    without_lag = dataclasses.replace(vehicle.plant().drive, lag=jnp.zeros(count))
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), without_lag)
+    return thrust(drive, jnp.arange(float(len(command))), commands).instant
 
 
 def true_thrust(

@@ -49,8 +49,9 @@ HEAVY = 0.3  # the wrong file has so much more inertia on each axis
 WIDTH, HIDDEN = 16, 6  # of the damping network, of each lumped one
 SPREAD = 3.0  # prior of the weights
 HELD = 1e-6  # prior of what is not fitted, in its own units: so small that it stays
-EQUAL = 0.01  # of the decrease by Levenberg-Marquardt: a cost as near as this is equal
-RATES = (1e-3, 3e-3, 1e-2)  # of Adam
+LEVELS = (0.1, 0.05, 0.02)  # of what there is to save: costs at which the solvers are compared
+RATES = (3e-3, 1e-2, 3e-2)  # of Adam at the start
+BATCH, BLOCK = 128, 10  # samples in a mini-batch, steps of Levenberg-Marquardt between two looks
 
 
 # --- the plant -----------------------------------------------------------------------------------
@@ -332,22 +333,28 @@ def mass_errors(truth: jm.Vehicle, vehicle: jm.Vehicle) -> dict[str, float]:
 
 
 def samples(vehicle: jm.Vehicle, log: jm.Log) -> tuple[Array, Array, Array]:
-    """Velocities, the acceleration that the vehicle lacks at each sample, and the inverse mass matrix."""
-    assert log.commands is not None
+    """Velocities, the wrench that the vehicle lacks at each sample, and the inverse mass matrix."""
     track = smooth_states(log, vehicle.dof)
-    plant, t = vehicle.plant(), jnp.asarray(log.t)
-    slope = jnp.asarray(np.gradient(track.nu, log.t, axis=0))
-    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, log.commands.shape), plant.drive)
-    push = thrust(drive, t, jnp.asarray(log.commands)).mean
-    push = 0.5 * (jnp.concatenate([push[:1], push[:-1]]) + push)
+    slope = np.gradient(track.nu, log.t, axis=0)
+    motion = map(jnp.asarray, (track.position, track.attitude, track.nu, slope))
+    missing, inverse = _missing(vehicle, jnp.asarray(log.t), jnp.asarray(log.commands), *motion)
+    return jnp.asarray(track.nu[:, PLACES]), missing, inverse
+
+
+@eqx.filter_jit
+def _missing(vehicle: jm.Vehicle, t, commands, position, attitude, nu, nu_dot):
+    plant = vehicle.plant()
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
+    mean = thrust(drive, t, commands).mean
+    # A slope about a sample lies half in the hold before it.
+    push = 0.5 * (jnp.concatenate([mean[:1], mean[:-1]]) + mean)
 
     def one(position, attitude, nu, nu_dot, push, command, t):
         state = State(position, from_euler(attitude), nu, jnp.zeros(0))
         return plant.balance(state, nu_dot, Input(push, command, jnp.zeros(6), t))
 
-    motion = (track.position, track.attitude, track.nu)
-    lacking = jax.vmap(one)(*map(jnp.asarray, motion), slope, push, jnp.asarray(log.commands), t)
-    return jnp.asarray(track.nu[:, PLACES]), lacking[:, PLACES], plant.inverse_mass[np.ix_(PLACES, PLACES)]
+    missing = jax.vmap(one)(position, attitude, nu, nu_dot, push, commands, t)
+    return missing[:, PLACES], plant.inverse_mass[np.ix_(PLACES, PLACES)]
 
 
 def residual(weights: Any, args: Any) -> tuple[Array, Any]:
@@ -365,70 +372,81 @@ def _moving(nu: Float[Array, "3"]) -> Motion:
 
 def cost(weights: Any, args: Any) -> Array:
     """Half the sum of the squares."""
-    return 0.5 * sum((leaf**2).sum() for leaf in jax.tree.leaves(residual(weights, args)))
+    return 0.5 * optax.tree.norm(residual(weights, args), squared=True)
 
 
 @eqx.filter_jit
-def _epochs(weights: Any, args: Any, rate: float, key: Array, count: int, batch: int):
-    """Adam on shuffled mini-batches of samples; the whole cost after each epoch."""
+def _epochs(weights: Any, args: Any, rate: Array, keys: Array):
+    """Adam on shuffled mini-batches, its rate falling to zero by a cosine; the whole cost after each epoch."""
     term, velocity, missing, *rest = args
-    batches = len(velocity) // batch
-    adam = optax.adam(rate)
+    batches = len(velocity) // BATCH
+    adam = optax.adam(optax.cosine_decay_schedule(1.0, len(keys) * batches))
 
     def part_of_cost(weights, rows):
         error, prior = residual(weights, (term, velocity[rows], missing[rows], *rest))
-        half = 0.5 * len(velocity) / batch * (error**2).sum()
-        return half + 0.5 * sum((leaf**2).sum() for leaf in jax.tree.leaves(prior))
+        return 0.5 * len(velocity) / BATCH * (error**2).sum() + 0.5 * optax.tree.norm(prior, squared=True)
 
     def step(carry, rows):
         weights, state = carry
         change, state = adam.update(jax.grad(part_of_cost)(weights, rows), state)
-        return (optax.apply_updates(weights, change), state), None
+        return (optax.apply_updates(weights, optax.tree.scale(rate, change)), state), None
 
     def epoch(carry, key):
-        rows = jax.random.permutation(key, len(velocity))[: batches * batch].reshape(batches, batch)
+        rows = jax.random.permutation(key, len(velocity))[: batches * BATCH].reshape(batches, BATCH)
         carry, _ = jax.lax.scan(step, carry, rows)
         return carry, cost(carry[0], args)
 
-    return jax.lax.scan(epoch, (weights, adam.init(weights)), jax.random.split(key, count))[1]
+    return jax.lax.scan(epoch, (weights, adam.init(weights)), keys)[1]
 
 
-def against_adam(start: jm.Vehicle, log: jm.Log, epochs: int) -> dict[str, Any]:
-    """Cost over time of Levenberg-Marquardt and of Adam at several rates, on the same one-step loss."""
+@eqx.filter_jit
+def _descended(starts: Any, args: Any):
+    """Some steps of Levenberg-Marquardt."""
+    return jm.levenberg_marquardt(residual, starts, args, max_steps=BLOCK, rtol=1e-6, atol=1e-6)
+
+
+def against_adam(start: jm.Vehicle, log: jm.Log, epochs: int, blocks: int) -> dict[str, Any]:
+    """Cost over CPU time of Levenberg-Marquardt and of Adam at several rates, on the same one-step loss.
+
+    To see its course Levenberg-Marquardt is stopped every `BLOCK` steps, and goes on with fresh damping.
+    """
     velocity, missing, inverse = samples(start, log)
     term = network(start)
     weights = term.network
     scale = (missing @ inverse.T).std(axis=0)
     args = (term, velocity, missing, inverse, scale[None])
-    first = float(cost(weights, args))
-    one = jax.tree.map(lambda a: a[None], weights)
+    out: dict[str, Any] = {"first": float(cost(weights, args)), "samples": len(velocity)}
 
-    def timed(run):
-        jax.block_until_ready(run())  # compiled
-        began = time.process_time()
-        out = jax.block_until_ready(run())
-        return out, time.process_time() - began
-
-    found, lm_s = timed(
-        lambda: jm.levenberg_marquardt(residual, one, args, max_steps=200, rtol=1e-5, atol=1e-5)
-    )
-    least = float(found.costs[0])
-    equal = least + EQUAL * (first - least)
-    out: dict[str, Any] = {"first": first, "least": least, "samples": len(velocity)}
-    out["lm"] = {"cpu_s": lm_s, "steps": int(found.steps[0]), "jacobians": int(found.steps[0])}
+    values = jax.tree.map(lambda a: a[None], weights)
+    run: Any = _descended.lower(values, args).compile()
+    costs, seconds, began = [], [], time.process_time()
+    for _ in range(blocks):
+        found = jax.block_until_ready(run(values, args))
+        values = found.values
+        costs.append(float(found.costs[0]))
+        seconds.append(time.process_time() - began)
+    out["lm"] = {"costs": costs, "cpu_s": seconds}
     for rate in RATES:
-        costs, adam_s = timed(lambda rate=rate: _epochs(weights, args, rate, jax.random.key(1), epochs, 128))
-        costs = np.asarray(costs)
-        reached = np.flatnonzero(costs <= equal)
-        share = (reached[0] + 1) / epochs if len(reached) else np.nan
-        out[f"adam_{rate:g}"] = {
-            "epochs": int(reached[0]) + 1 if len(reached) else None,
-            "cpu_s": float(adam_s * share) if len(reached) else None,
-            "cpu_s_all": adam_s,
-            "excess_at_end": float((costs[-1] - least) / (first - least)),
-            "costs": costs.tolist(),
-        }
+        given = (weights, args, jnp.asarray(rate), jax.random.split(jax.random.key(1), epochs))
+        run = _epochs.lower(*given).compile()
+        began = time.process_time()
+        costs = np.asarray(jax.block_until_ready(run(*given)))
+        passed = (time.process_time() - began) * np.arange(1, epochs + 1) / epochs
+        out[f"adam_{rate:g}"] = {"costs": costs.tolist(), "cpu_s": passed.tolist()}
     return out
+
+
+def excess(adam: dict[str, Any], name: str) -> Float[np.ndarray, " points"]:
+    """Cost above the least that any of them has reached, as a share of what there is to save."""
+    solvers = [key for key in adam if isinstance(adam[key], dict)]
+    least = min(min(adam[key]["costs"]) for key in solvers)
+    return (np.array(adam[name]["costs"]) - least) / (adam["first"] - least)
+
+
+def reached(adam: dict[str, Any], name: str, level: float) -> tuple[float, int] | None:
+    """CPU time [s] and point (block or epoch, from 1) at which the excess is first below the level."""
+    below = np.flatnonzero(excess(adam, name) <= level)
+    return (adam[name]["cpu_s"][below[0]], int(below[0]) + 1) if len(below) else None
 
 
 # --- one seed ------------------------------------------------------------------------------------
@@ -444,7 +462,7 @@ class Case:
     numbers: dict[str, Any]
 
 
-def case(truth: jm.Vehicle, seed: int, duration: float, steps: int, epochs: int) -> Case:
+def case(truth: jm.Vehicle, seed: int, duration: float, steps: int, epochs: int, blocks: int) -> Case:
     """Everything for one log."""
     log = log_of(truth, sailed(duration, 100 + seed), 200 + seed)
     inside = course(truth, sailed(duration, 300 + seed))
@@ -485,7 +503,7 @@ def case(truth: jm.Vehicle, seed: int, duration: float, steps: int, epochs: int)
             name: {"steps": fit.steps, "converged": fit.converged, "chi2_per_sample": fit.chi2_per_sample}
             for name, fit in fits.items()
         },
-        "adam": against_adam(classical["trajectory"].vehicle, log, epochs),
+        "adam": against_adam(classical["trajectory"].vehicle, log, epochs, blocks),
     }
     return Case(vehicles, inside, beyond, numbers)
 
@@ -558,20 +576,18 @@ def tables(runs: Sequence[dict[str, Any]]) -> str:
             for part in ("diagonal", "off_diagonal")
         ]
         lines.append(f"| {SHOWN[name]} | " + " | ".join(cells) + " |")
-    lines += ["", "| training by the one-step loss | to equal cost, CPU s | epochs | excess at the end |"]
-    lines.append("|---|---|---|---|")
-    steps = spread([run["adam"]["lm"]["steps"] for run in runs], 0)
-    lines.append(
-        f"| Levenberg-Marquardt | {spread([r['adam']['lm']['cpu_s'] for r in runs], 2)} | {steps} | 0 |"
-    )
-    for rate in RATES:
-        rows = [run["adam"][f"adam_{rate:g}"] for run in runs]
-        done = [row for row in rows if row["epochs"] is not None]
-        cells = [spread([row[key] for row in done], 1) if done else "never" for key in ("cpu_s", "epochs")]
-        if done and len(done) < len(rows):
-            cells = [f"{cell}, {len(done)} of {len(rows)}" for cell in cells]
-        cells.append(spread([100 * row["excess_at_end"] for row in rows], 1) + " %")
-        lines.append(f"| Adam, rate {rate:g} | " + " | ".join(cells) + " |")
+    titles = " | ".join(f"to {100 * level:g} %, CPU s" for level in LEVELS)
+    lines += ["", f"| one-step loss of the network | {titles} | left at the end % |"]
+    lines.append("|---" * (len(LEVELS) + 2) + "|")
+    for name in ("lm", *(f"adam_{rate:g}" for rate in RATES)):
+        cells = []
+        for level in LEVELS:
+            times = [found[0] for run in runs if (found := reached(run["adam"], name, level)) is not None]
+            some = "" if len(times) == len(runs) else f", {len(times)} of {len(runs)}"
+            cells.append(spread(times, 1) + some if times else "never")
+        cells.append(spread([100 * excess(run["adam"], name)[-1] for run in runs], 1))
+        title = "Levenberg-Marquardt" if name == "lm" else name.replace("adam_", "Adam from a rate of ")
+        lines.append(f"| {title} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -587,6 +603,11 @@ STYLE = {
 
 def force(vehicle: jm.Vehicle, nu: Float[Array, "points 3"]) -> Float[np.ndarray, "points 3"]:
     """Damping force on the hull at these velocities, without commands [N, N m]."""
+    return np.asarray(_force(vehicle, nu))
+
+
+@eqx.filter_jit
+def _force(vehicle: jm.Vehicle, nu: Float[Array, "points 3"]):
     plant = vehicle.plant()
 
     def one(nu):
@@ -594,7 +615,7 @@ def force(vehicle: jm.Vehicle, nu: Float[Array, "points 3"]) -> Float[np.ndarray
         out = -damping(plant.damping.linear, plant.damping.quadratic, motion.nu_r)
         return (out + sum(effect(motion) for effect in plant.wrenches))[PLACES]
 
-    return np.asarray(jax.vmap(one)(nu))
+    return jax.vmap(one)(nu)
 
 
 def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
@@ -647,20 +668,16 @@ def draw_errors(cases: Sequence[Case], out: Path) -> None:
 
 
 def draw_adam(numbers: dict[str, Any], out: Path) -> None:
-    """Excess of the cost over that of Levenberg-Marquardt, as a share of what that has saved."""
+    """Excess of the cost over CPU time."""
     plot, ax = plt.subplots(figsize=(6, 3.4), layout="constrained")
     adam = numbers["adam"]
-    whole = adam["first"] - adam["least"]
-    for rate in RATES:
-        row = adam[f"adam_{rate:g}"]
-        costs = np.array([adam["first"], *row["costs"]])
-        seconds = row["cpu_s_all"] * np.arange(len(costs)) / (len(costs) - 1)
-        ax.plot(
-            seconds, np.maximum((costs - adam["least"]) / whole, 1e-5), lw=1.2, label=f"Adam, rate {rate:g}"
-        )
-    ax.axvline(adam["lm"]["cpu_s"], color="black", ls="--", lw=1, label="Levenberg-Marquardt has ended")
-    ax.axhline(EQUAL, color="0.5", ls=":", lw=1, label="equal cost")
-    ax.set(yscale="log", xlabel="CPU time [s]", ylabel="excess of the cost [1]")
+    for name in ("lm", *(f"adam_{rate:g}" for rate in RATES)):
+        title = "Levenberg-Marquardt" if name == "lm" else name.replace("adam_", "Adam from a rate of ")
+        style = {"color": "black", "marker": "."} if name == "lm" else {}
+        ax.plot(adam[name]["cpu_s"], np.maximum(excess(adam, name), 1e-4), lw=1.2, label=title, **style)
+    for level in LEVELS:
+        ax.axhline(level, color="0.6", ls=":", lw=0.8)
+    ax.set(xscale="log", yscale="log", xlabel="CPU time [s]", ylabel="cost left to save [1]")
     ax.spines[["top", "right"]].set_visible(False)
     ax.legend(frameon=False, fontsize=8)
     _save(plot, out / "adam")
@@ -680,12 +697,12 @@ def main(
     """Measures what networks gain where damping is neither linear nor quadratic."""
     jax.config.update("jax_enable_x64", True)
     out.mkdir(parents=True, exist_ok=True)
-    duration, steps, epochs, seeds = (60.0, 4, 20, 1) if quick else (1000.0, 40, 300, seeds)
+    duration, steps, epochs, blocks, seeds = (60.0, 4, 20, 1, 1) if quick else (1000.0, 30, 3000, 12, seeds)
     truth = true_plant()
     cases = []
     with Progress(transient=True) as bar:
         for seed in bar.track(range(seeds), description="logs"):
-            cases.append(case(truth, seed, duration, steps, epochs))
+            cases.append(case(truth, seed, duration, steps, epochs, blocks))
             runs = [one.numbers for one in cases]
             results = {"duration_s": duration, "summary": summary(runs), "runs": runs}
             (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")

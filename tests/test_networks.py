@@ -57,13 +57,13 @@ def motion(nu) -> Motion:
 def test_the_gate_is_open_where_the_data_are_and_shut_half_as_far_again():
     seen, samples = Seen.of(data()), data()
     gate = np.asarray(jax.vmap(seen)(jnp.asarray(samples)))
-    # By construction of the 99 % quantile, up to one sample.
-    assert abs(np.mean(gate == 1.0) - 0.99) < 0.001
+    # By construction of the 99.9 % quantile, up to one of 2000 samples.
+    assert abs(np.mean(gate == 1.0) - 0.999) < 0.001
     assert gate.min() > 0.0
     # Distances by numpy's own covariance: on the line to any sample the border lies at the same one.
     off = samples - samples.mean(axis=0)
     distance = np.sqrt(np.einsum("ni,ij,nj->n", off, np.linalg.inv(np.cov(off.T)), off))
-    border = np.quantile(distance, 0.99)
+    border = np.quantile(distance, 0.999)
     for k in range(5):
         along = off[k] / distance[k] * border
         for times, value in ((0.99, 1.0), (1.51, 0.0), (10.0, 0.0)):
@@ -88,7 +88,7 @@ def test_the_gate_has_a_continuous_slope_and_curvature():
     # Central differences err by step² times the third derivative, which is below 1e3 here.
     np.testing.assert_allclose(slope, exact, atol=1e3 * step**2)
     # A jump of the curvature would stay as large as the curvature however fine the step is.
-    assert np.abs(np.diff(bend)).max() < 0.01 * np.abs(bend).max()
+    assert np.abs(np.diff(bend)).max() < 0.05 * np.abs(bend).max()
 
 
 def test_beyond_the_velocities_seen_a_trained_network_leaves_the_classical_vehicle_to_the_last_bit():
@@ -278,3 +278,26 @@ def test_a_quick_run_finds_the_fouled_propeller(tmp_path):
     )[:, 0]
     np.testing.assert_allclose(np.sqrt((off**2).mean()) / 2.0, star["learned_rms_grid"], rtol=1e-9)
     assert (tmp_path / "thrust.svg").exists()
+
+
+@pytest.mark.slow
+def test_a_quick_run_of_the_nonlinear_damping_ends_with_every_model(tmp_path):
+    nonlinear_damping.main(tmp_path, seeds=1, quick=True)
+    run = json.loads((tmp_path / "results.json").read_text())["runs"][0]
+    # A minute of sailing and few steps: the networks must fit it better, and beyond it do no harm.
+    fits = run["fits"]
+    for loss in ("one_step", "trajectory"):
+        assert np.isfinite(fits[f"hybrid, {loss}"]["chi2_per_sample"])
+    assert fits["hybrid, trajectory"]["chi2_per_sample"] < fits["classical, trajectory"]["chi2_per_sample"]
+    assert set(nonlinear_damping.SHOWN) < set(run["inside"]) == set(run["beyond"])
+    wrong = run["mass_error_percent"]["wrong mass, trajectory"]["diagonal"]
+    assert wrong == pytest.approx(100 * nonlinear_damping.HEAVY, rel=1e-6)
+    assert run["mass_error_percent"]["single, trajectory"]["diagonal"] < 0.5 * wrong
+    # The stored vehicle is the one that was scored.
+    truth = nonlinear_damping.true_plant()
+    stored = load_vehicle(tmp_path / "hybrid.toml")
+    sailed = nonlinear_damping.course(truth, nonlinear_damping.sailed(60.0, 300))
+    again = nonlinear_damping.scored(stored, sailed, np.ones(6, bool))
+    assert again == pytest.approx(run["inside"]["hybrid, trajectory"], rel=1e-9)
+    for name in ("forces", "errors", "adam"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000 and (tmp_path / f"{name}.svg").exists()

@@ -123,12 +123,10 @@ def mlp_damping(
         dtype=jnp.result_type(float),
         key=key,
     )
-    first = network.layers[0]
     network = eqx.tree_at(
-        lambda net: (net.layers[0].weight, net.layers[0].bias, net.layers[-1].weight),
-        network,
-        (_STEEP * first.weight, _STEEP * first.bias, jnp.zeros_like(network.layers[-1].weight)),
+        lambda net: (net.layers[0].weight, net.layers[0].bias), network, replace_fn=lambda a: _STEEP * a
     )
+    network = eqx.tree_at(lambda net: net.layers[-1].weight, network, replace_fn=jnp.zeros_like)
     arrays, frame = eqx.partition(network, eqx.is_array)
     return MLPDamping(
         network=arrays,

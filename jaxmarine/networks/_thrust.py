@@ -72,8 +72,7 @@ class LearnedThrust(DriveEffect):
         shapes = {name: value.shape for name, value in term.arrays().items()}
         if shapes != {name: np.shape(value) for name, value in arrays.items()}:
             raise ValueError(f"its arrays are not {shapes}")
-        stored = {name: jnp.asarray(arrays[name], float) for name in shapes}
-        return dataclasses.replace(term, **stored)
+        return cls(**{name: jnp.asarray(arrays[name], float) for name in shapes}, thrusters=thrusters)
 
     def __call__(self, drive: Drive) -> Drive:
         curve = Curve(tuple(self.slope), tuple(self.bias), tuple(self.weight), self.low, self.high)
