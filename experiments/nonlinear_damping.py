@@ -377,7 +377,7 @@ def cost(weights: Any, args: Any) -> Array:
 
 @eqx.filter_jit
 def _epochs(weights: Any, args: Any, rate: Array, keys: Array):
-    """Adam on shuffled mini-batches, its rate falling to zero by a cosine; the whole cost after each epoch."""
+    """Adam on shuffled mini-batches, its rate falling by a cosine; the whole cost after each epoch."""
     term, velocity, missing, *rest = args
     batches = len(velocity) // BATCH
     adam = optax.adam(optax.cosine_decay_schedule(1.0, len(keys) * batches))
