@@ -304,7 +304,7 @@ def errors(vehicle: jm.Vehicle, run: Course) -> tuple[Float[np.ndarray, "starts 
 
 
 def scored(vehicle: jm.Vehicle, run: Course, kept: Bool[np.ndarray, " starts"]) -> dict[str, float]:
-    """Root mean square errors over the chosen starts: distance at the end, velocities all along."""
+    """Root mean square errors over the chosen starts: distance at the last sample, velocities all along."""
     distance, off_nu = errors(vehicle, run)
     with np.errstate(over="ignore", invalid="ignore"):
         rms = np.sqrt((off_nu[kept] ** 2).mean(axis=(0, 1)))
@@ -418,7 +418,7 @@ def against_adam(start: jm.Vehicle, log: jm.Log, epochs: int, blocks: int) -> di
     out: dict[str, Any] = {"first": float(cost(weights, args)), "samples": len(velocity)}
 
     values = jax.tree.map(lambda a: a[None], weights)
-    run: Any = _descended.lower(values, args).compile()
+    run = _compiled(_descended, values, args)
     costs, seconds, began = [], [], time.process_time()
     for _ in range(blocks):
         found = jax.block_until_ready(run(values, args))
@@ -428,12 +428,17 @@ def against_adam(start: jm.Vehicle, log: jm.Log, epochs: int, blocks: int) -> di
     out["lm"] = {"costs": costs, "cpu_s": seconds}
     for rate in RATES:
         given = (weights, args, jnp.asarray(rate), jax.random.split(jax.random.key(1), epochs))
-        run = _epochs.lower(*given).compile()
+        run = _compiled(_epochs, *given)
         began = time.process_time()
         costs = np.asarray(jax.block_until_ready(run(*given)))
         passed = (time.process_time() - began) * np.arange(1, epochs + 1) / epochs
         out[f"adam_{rate:g}"] = {"costs": costs.tolist(), "cpu_s": passed.tolist()}
     return out
+
+
+def _compiled(jitted: Any, *given: Any) -> Any:
+    """The compiled program, so that its time is that of running alone."""
+    return jitted.lower(*given).compile()
 
 
 def excess(adam: dict[str, Any], name: str) -> Float[np.ndarray, " points"]:
@@ -620,7 +625,7 @@ def _force(vehicle: jm.Vehicle, nu: Float[Array, "points 3"]):
 
 def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
     """Surge force over surge speed, sway force over sway at speed, yaw moment over yaw rate at speed."""
-    plot, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    plot, axes = plt.subplots(1, 3, figsize=(11, 3.7), layout="constrained")
     seen = network(last.vehicles["hybrid, trajectory"]).seen
     cases = ((0, 0.9, "u [m/s]", "X [N]"), (1, 0.4, "v [m/s], u = 0.2 m/s", "Y [N]"))
     cases += ((2, 0.6, "r [rad/s], u = 0.2 m/s", "N [N m]"),)
@@ -632,7 +637,7 @@ def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
         points = jnp.asarray(nu)
         inside = np.asarray(jax.vmap(seen)(points)) > 0.5
         if inside.any():
-            ax.axvspan(grid[inside].min(), grid[inside].max(), color="0.93", label="seen")
+            ax.axvspan(grid[inside].min(), grid[inside].max(), color="0.9", label="seen")
         named = {"true": truth} | {name: last.vehicles[name] for name in list(STYLE)[1:4]}
         for name, vehicle in named.items():
             label_of = SHOWN.get(name, name).replace("the same", "with network")
@@ -641,7 +646,8 @@ def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
         ax.set_ylim(1.3 * true.min(), 1.3 * true.max())
         ax.set(xlabel=label, ylabel=what)
         ax.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(frameon=False, fontsize=7)
+    handles, labels = axes[0].get_legend_handles_labels()
+    plot.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=8)
     _save(plot, out / "forces")
 
 
@@ -673,7 +679,7 @@ def draw_adam(numbers: dict[str, Any], out: Path) -> None:
     adam = numbers["adam"]
     for name in ("lm", *(f"adam_{rate:g}" for rate in RATES)):
         title = "Levenberg-Marquardt" if name == "lm" else name.replace("adam_", "Adam from a rate of ")
-        style = {"color": "black", "marker": "."} if name == "lm" else {}
+        style: dict[str, Any] = {"color": "black", "marker": "."} if name == "lm" else {}
         ax.plot(adam[name]["cpu_s"], np.maximum(excess(adam, name), 1e-4), lw=1.2, label=title, **style)
     for level in LEVELS:
         ax.axhline(level, color="0.6", ls=":", lw=0.8)
