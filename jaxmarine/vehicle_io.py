@@ -10,11 +10,14 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import LearnedWrench, MLPDamping, signals_known
+from .networks import LearnedThrust, LearnedWrench, MLPDamping, signals_known
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
 
-_LEARNED = (LearnedWrench.name, MLPDamping.name)
+# Learned terms that are made from their arrays and their inputs alone.
+_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, LearnedThrust)}
+_LEARNED = (LearnedWrench.name, *_OF_ARRAYS)
+_Learned = LearnedWrench | MLPDamping | LearnedThrust
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -43,6 +46,10 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
         for name in entry.inputs:
             if not signals_known(name, file.thruster_names):
                 raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
+        return
+    if entry.effect == LearnedThrust.name:
+        if entry.arrays is None or not entry.inputs or entry.inputs != file.thruster_names:
+            raise ValueError("is a learned thrust and needs `arrays`, and all thrusters as `inputs`.")
         return
     if entry.effect == MLPDamping.name:
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
@@ -123,13 +130,13 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedWrench | MLPDamping:
+def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> _Learned:
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name], float) for name in stored.files}
-        if entry.effect == MLPDamping.name:
-            return MLPDamping.restored(arrays, entry.inputs)
+        if entry.effect in _OF_ARRAYS:
+            return _OF_ARRAYS[entry.effect].restored(arrays, entry.inputs)
         return LearnedWrench(
             **{name: jnp.asarray(value) for name, value in arrays.items()},
             target=str(entry.target),
@@ -153,7 +160,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     for number, placed in enumerate(vehicle.placed):
         entry: dict = {"effect": placed.effect.name, "target": placed.target}
         entry |= {"since": placed.since, "since_log": placed.since_log}
-        if isinstance(placed.effect, LearnedWrench | MLPDamping):
+        if isinstance(placed.effect, _Learned):
             kind = placed.target or placed.effect.name
             beside = path.with_name(f"{path.stem}_{kind}_{number}.npz")
             with written_whole(beside) as whole, open(whole, "wb") as stream:

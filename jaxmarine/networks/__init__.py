@@ -17,3 +17,6 @@ from ._learned import (
 from ._learned import (
     signals_known as signals_known,
 )
+from ._seen import Seen as Seen
+from ._thrust import LearnedThrust as LearnedThrust
+from ._thrust import learned_thrust as learned_thrust

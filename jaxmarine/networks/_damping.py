@@ -11,15 +11,21 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._types import DOFS, Wrench
 from ..effects import Craft, Motion, Suspect, WrenchEffect
+from ._seen import Seen
+
+# Equinox' first weights are below one over the root of the inputs: over inputs of one the units would
+# all be straight lines, and their solve long. So steep, each bends somewhere in the data.
+_STEEP = 3.0
 
 
 class MLPDamping(WrenchEffect):
-    r"""Damping beside that of the vehicle, $\tau_a = s_o (f(\nu_r / s_i) - f(0))$ on chosen axes a.
+    r"""Damping beside that of the vehicle, $\tau_a = \gamma(\nu_r) s_o (f(\nu_r / s_i) - f(0))$ on some axes.
 
     - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes
       to forces on them; zero at first in its last layer: the unfitted vehicle is the physics.
-    - `input_scale` [m/s, rad/s]: largest speeds in the data; beyond them nothing is known.
-    - `output_scale` [N, N m]: size of the forces.
+    - `input_scale` [m/s, rad/s]: largest speeds in the data; `output_scale` [N, N m]: size of the forces.
+    - `seen`: the gate $\gamma$; beyond the velocities seen the term fades out, so that what is left there is
+      the vehicle's own damping. That is the best classical law only if it was fitted before, and held.
 
     There is no force at rest, by construction. Nothing makes the force dissipative. Source: thesis
     sec. 4.1 (a network parallel to the model), as a term of the equations of motion.
@@ -31,6 +37,7 @@ class MLPDamping(WrenchEffect):
     network: eqx.nn.MLP
     input_scale: Float[Array, " axes"]
     output_scale: Float[Array, " axes"]
+    seen: Seen
     # Activations are no arrays, and all that a plant holds must be.
     frame: eqx.nn.MLP = eqx.field(static=True)
     axes: tuple[str, ...] = eqx.field(static=True)
@@ -54,6 +61,7 @@ class MLPDamping(WrenchEffect):
         out = {"input_scale": self.input_scale, "output_scale": self.output_scale}
         for k, layer in enumerate(self.network.layers):
             out |= {f"weight_{k}": layer.weight, f"bias_{k}": layer.bias}
+        out |= self.seen.arrays()
         return {name: np.asarray(value) for name, value in out.items() if value is not None}
 
     @classmethod
@@ -77,6 +85,7 @@ class MLPDamping(WrenchEffect):
             biases = [layer.bias for layer in layers[:-1]]
             return [term.input_scale, term.output_scale, *[x.weight for x in layers], *biases]
 
+        term = eqx.tree_at(lambda t: t.seen, term, Seen.restored(arrays))
         names = ["input_scale", "output_scale", *(f"weight_{k}" for k in range(depth + 1))]
         names += [f"bias_{k}" for k in range(depth)]
         return eqx.tree_at(stored, term, [jnp.asarray(arrays[name], float) for name in names])
@@ -85,7 +94,7 @@ class MLPDamping(WrenchEffect):
         places = np.array([DOFS.index(axis) for axis in self.axes])
         network = eqx.combine(self.network, self.frame)
         x = motion.nu_r[places] / self.input_scale
-        force = self.output_scale * (network(x) - network(jnp.zeros_like(x)))
+        force = self.seen(motion.nu_r[places]) * self.output_scale * (network(x) - network(jnp.zeros_like(x)))
         return jnp.zeros(6).at[places].set(force)
 
 
@@ -96,10 +105,12 @@ def mlp_damping(
     key: PRNGKeyArray,
     width: int = 8,
     depth: int = 1,
+    seen: Float[np.ndarray, "samples axes"] | None = None,
 ) -> MLPDamping:
     """An untrained term on `axes`: random but for its last layer, which is zero.
 
     - `speed` [m/s, rad/s], `force` [N, N m]: sizes per axis, which scale inputs and outputs.
+    - `seen`: velocities of the data [m/s, rad/s]; None: the ellipsoid about the box of `speed`.
     """
     # No bias in the last layer: the subtracted value at rest would cancel it.
     network = eqx.nn.MLP(
@@ -112,12 +123,16 @@ def mlp_damping(
         dtype=jnp.result_type(float),
         key=key,
     )
+    network = eqx.tree_at(
+        lambda net: (net.layers[0].weight, net.layers[0].bias), network, replace_fn=lambda a: _STEEP * a
+    )
     network = eqx.tree_at(lambda net: net.layers[-1].weight, network, replace_fn=jnp.zeros_like)
     arrays, frame = eqx.partition(network, eqx.is_array)
     return MLPDamping(
         network=arrays,
         input_scale=jnp.asarray(np.asarray(speed, float)),
         output_scale=jnp.asarray(np.asarray(force, float)),
+        seen=Seen.within(speed) if seen is None else Seen.of(seen),
         frame=frame,
         axes=tuple(axes),
     )

@@ -1,5 +1,6 @@
 """The classical terms: frames, rigid body, added mass, Coriolis, restoring, damping, actuators."""
 
+from ._actuators import Curve as Curve
 from ._actuators import Drive as Drive
 from ._actuators import Thrust as Thrust
 from ._actuators import step_lengths as step_lengths

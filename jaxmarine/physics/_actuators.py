@@ -8,13 +8,35 @@ from jaxtyping import Array, Float
 from .._types import Commands, Times
 
 
+class Curve(eqx.Module):
+    r"""A learned share of `max_thrust`, $\sum_k w_k (\tanh(a_k c + b_k) - \tanh b_k)$, for each thruster.
+
+    - `slope` a, `bias` b, `weight` w: one array per unit k, with an entry per thruster as in `Drive`.
+    - `low`, `high`: the command is clipped to this range.
+    """
+
+    slope: tuple[Float[Array, "*times thrusters"], ...]
+    bias: tuple[Float[Array, "*times thrusters"], ...]
+    weight: tuple[Float[Array, "*times thrusters"], ...]
+    low: Float[Array, "*times thrusters"]
+    high: Float[Array, "*times thrusters"]
+
+    def __call__(self, c: Commands) -> Commands:
+        c = jnp.clip(c, self.low, self.high)
+        out = jnp.zeros_like(c)
+        for a, b, w in zip(self.slope, self.bias, self.weight, strict=True):
+            out = out + w * (jnp.tanh(a * c + b) - jnp.tanh(b))
+        return out
+
+
 class Drive(eqx.Module):
     """How each thruster turns its command into thrust; one entry per thruster.
 
     In the order in which they act: `delay` [s], `deadband` [command], `saturation` [command],
     `quadratic` [1] (share of the command that acts as c|c|), `gain` [1], `lag` [s] (first order),
     `inflow` [s/m] (relative loss per speed through the water along the thruster).
-    `max_thrust` [N] is the thrust at command 1.
+    `max_thrust` [N] is the thrust at command 1. `curves` are learned ones beside that of the other
+    constants, of the command before the dead zone.
     """
 
     delay: Float[Array, "*times thrusters"]
@@ -25,6 +47,7 @@ class Drive(eqx.Module):
     lag: Float[Array, "*times thrusters"]
     inflow: Float[Array, "*times thrusters"]
     max_thrust: Float[Array, "*times thrusters"]
+    curves: tuple[Curve, ...] = ()
 
 
 def step_lengths(t: Times) -> Times:
@@ -74,11 +97,14 @@ def _delayed(t: Times, commands: Commands, delay: Commands) -> tuple[Commands, C
 
 def _goal(drive: Drive, c: Commands) -> Commands:
     """Thrust that a command asks for [N]: dead zone, saturation, curve, gain."""
+    learned = [curve(c) for curve in drive.curves]
     # Without a dead zone a command of zero is not silent: its slope with respect to the delay is one.
     silent = (jnp.abs(c) <= drive.deadband) & (drive.deadband > 0.0)
     c = jnp.where(silent, 0.0, c - jnp.sign(c) * drive.deadband)
     c = jnp.clip(c, -drive.saturation, drive.saturation)
     c = (1.0 - drive.quadratic) * c + drive.quadratic * c * jnp.abs(c)
+    for share in learned:
+        c = c + share
     return drive.max_thrust * drive.gain * c
 
 

@@ -1,0 +1,107 @@
+"""The thrust of each propeller as a network of its command, and how it lags."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..effects import Craft, DriveEffect, Suspect
+from ..physics import Curve, Drive
+
+_HIDDEN = ("slope", "bias", "weight")
+
+
+class LearnedThrust(DriveEffect):
+    r"""Thrust beside the curve of the file, per thruster, and more lag than the file's.
+
+    $T / T_{max} = \mathrm{file}(c) + \sum_k w_k (\tanh(a_k c + b_k) - \tanh b_k)$, with c the command after
+    the delay and before the dead zone, and the lag $\tau = \tau_{file} + \Delta\tau$.
+
+    - `slope` a, `bias` b, `weight` w [hidden, thrusters]: the networks; w is zero at first: the file's curve.
+    - `low`, `high` [thrusters]: commands in the data, in which the command is clipped: beyond them the
+      network's share stays what it was at the edge.
+    - `lag` [s]: beside that of the file, per thruster; the sum is not below zero.
+
+    A command of zero gives no thrust but the file's, by construction. The curve is neither odd nor monotone:
+    a fouled propeller is weaker one way, and where the data are poor a prior on w holds the file's curve.
+    Source: thesis sec. 8.4 (networks for actuators); steady and first-order thrust, Fossen (2021), sec. 9.1.
+    """
+
+    name: ClassVar[str] = "learned_thrust"
+    units: ClassVar[Mapping[str, str]] = {}
+
+    slope: Float[Array, "hidden thrusters"]
+    bias: Float[Array, "hidden thrusters"]
+    weight: Float[Array, "hidden thrusters"]
+    low: Float[Array, " thrusters"]
+    high: Float[Array, " thrusters"]
+    lag: Float[Array, " thrusters"]
+    thrusters: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        raise NotImplementedError("A learned term has no neutral value before it is built.")
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return ()
+
+    @property
+    def network(self) -> tuple[Array, ...]:
+        """What is trained, besides `lag`."""
+        return self.slope, self.bias, self.weight
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What a vehicle file names: the thrusters."""
+        return self.thrusters
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by name."""
+        return {name: np.asarray(getattr(self, name)) for name in (*_HIDDEN, "low", "high", "lag")}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray], thrusters: tuple[str, ...]) -> Self:
+        """The term whose `arrays()` these were; ValueError where they do not fit together."""
+        term = learned_thrust(thrusters, arrays["low"], arrays["high"], hidden=len(arrays["weight"]))
+        shapes = {name: value.shape for name, value in term.arrays().items()}
+        if shapes != {name: np.shape(value) for name, value in arrays.items()}:
+            raise ValueError(f"its arrays are not {shapes}")
+        return cls(**{name: jnp.asarray(arrays[name], float) for name in shapes}, thrusters=thrusters)
+
+    def __call__(self, drive: Drive) -> Drive:
+        curve = Curve(tuple(self.slope), tuple(self.bias), tuple(self.weight), self.low, self.high)
+        return dataclasses.replace(
+            drive, curves=(*drive.curves, curve), lag=jnp.maximum(drive.lag + self.lag, 0.0)
+        )
+
+
+def learned_thrust(
+    thrusters: tuple[str, ...],
+    low: Float[np.ndarray, " thrusters"],
+    high: Float[np.ndarray, " thrusters"],
+    hidden: int = 8,
+) -> LearnedThrust:
+    """Untrained networks for all thrusters: steps spread evenly over the commands, without weight.
+
+    - `low`, `high`: commands in the data.
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    count = len(thrusters)
+    middle = (np.arange(hidden)[:, None] + 0.5) / hidden * (high - low) + low
+    # A step as wide as the distance between two neighbours.
+    slope = np.broadcast_to(hidden / (high - low), (hidden, count))
+    return LearnedThrust(
+        slope=jnp.asarray(slope),
+        bias=jnp.asarray(-slope * middle),
+        weight=jnp.zeros((hidden, count)),
+        low=jnp.asarray(low),
+        high=jnp.asarray(high),
+        lag=jnp.zeros(count),
+        thrusters=tuple(thrusters),
+    )
