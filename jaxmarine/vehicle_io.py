@@ -1,5 +1,6 @@
 """Vehicles in files: TOML read into a `Vehicle` and written back, learned terms beside it."""
 
+import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,8 +12,10 @@ from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LearnedWrench, MLPDamping, signals_known
+from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
+from .vehicle_file import Slider as SliderTable
 
 _LEARNED = (LearnedWrench.name, MLPDamping.name)
 
@@ -85,6 +88,14 @@ def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
         dof=file.dof,
         thruster_names=file.thruster_names,
         sensors=tuple(file.sensors.stated().items()),
+        slider=None if file.slider is None else _slider(file.slider),
+    )
+
+
+def _slider(table: SliderTable) -> Slider:
+    numbers = table.model_dump(exclude={"name"})
+    return Slider(
+        **{name: jnp.asarray(np.array(value, float)) for name, value in numbers.items()}, name=table.name
     )
 
 
@@ -196,11 +207,18 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
+            "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "effect": entries,
         }
     )
     write_vehicle_file(file, path)
+
+
+def _slider_table(slider: Slider) -> dict:
+    numbers = {field.name: getattr(slider, field.name) for field in dataclasses.fields(slider)}
+    name = numbers.pop("name")
+    return {"name": name} | {key: np.asarray(value).tolist() for key, value in numbers.items()}
 
 
 def packaged_vehicle(name: str) -> Path:

@@ -38,3 +38,5 @@ from ._frames import (
 from ._frames import (
     to_euler_matrix as to_euler_matrix,
 )
+from ._slider import Slide as Slide
+from ._slider import Slider as Slider
