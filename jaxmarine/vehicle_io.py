@@ -11,13 +11,14 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import LearnedWrench, MLPDamping, signals_known
+from .networks import LearnedWrench, MLPDamping, RBFDamping, signals_known
 from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
 from .vehicle_file import Slider as SliderTable
 
-_LEARNED = (LearnedWrench.name, MLPDamping.name)
+_DAMPINGS = {cls.name: cls for cls in (MLPDamping, RBFDamping)}
+_LEARNED = (LearnedWrench.name, *_DAMPINGS)
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -47,7 +48,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
             if not signals_known(name, file.thruster_names):
                 raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
         return
-    if entry.effect == MLPDamping.name:
+    if entry.effect in _DAMPINGS:
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
             raise ValueError("is a learned damping and needs `arrays`, and free axes as `inputs`.")
         return
@@ -134,13 +135,15 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedWrench | MLPDamping:
+def _load_learned(
+    path: Path, entry: EffectEntry, file: VehicleFile
+) -> LearnedWrench | MLPDamping | RBFDamping:
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name], float) for name in stored.files}
-        if entry.effect == MLPDamping.name:
-            return MLPDamping.restored(arrays, entry.inputs)
+        if entry.effect in _DAMPINGS:
+            return _DAMPINGS[entry.effect].restored(arrays, entry.inputs)
         return LearnedWrench(
             **{name: jnp.asarray(value) for name, value in arrays.items()},
             target=str(entry.target),
@@ -164,7 +167,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     for number, placed in enumerate(vehicle.placed):
         entry: dict = {"effect": placed.effect.name, "target": placed.target}
         entry |= {"since": placed.since, "since_log": placed.since_log}
-        if isinstance(placed.effect, LearnedWrench | MLPDamping):
+        if isinstance(placed.effect, LearnedWrench | MLPDamping | RBFDamping):
             kind = placed.target or placed.effect.name
             beside = path.with_name(f"{path.stem}_{kind}_{number}.npz")
             with written_whole(beside) as whole, open(whole, "wb") as stream:

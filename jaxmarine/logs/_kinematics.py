@@ -1,14 +1,12 @@
 """Velocities and accelerations from measured positions and attitudes alone, without phase error.
 
-Each channel is smoothed as a signal whose third derivative is white noise. The whole log is solved at
-once, which gives what the fixed-interval smoother of Rauch, Tung and Striebel (1965) gives: it looks ahead
-as far as back, so that in the middle of a log value, slope and curvature are in phase with the signal at
-every frequency. A causal filter lags.
+Each channel is smoothed as a signal whose third derivative is white noise, by the fixed-interval smoother of
+Rauch, Tung and Striebel (1965). It looks ahead as far as back, so that in the middle of a log value, slope
+and curvature are in phase with the signal at every frequency. A causal filter lags.
 """
 
 import equinox as eqx
 import numpy as np
-import scipy.linalg
 from jaxtyping import Float
 
 from .._errors import InputError
@@ -22,7 +20,8 @@ from ._states import body_rates, rotations
 _STRENGTHS = 10.0 ** np.arange(-10.0, 1.1, 1 / 3)
 # The covariance of value, slope and curvature after one unit of time, for a strength of one.
 _SPREAD = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
-_BANDS = 6  # of the matrix to be factorised: two neighbouring blocks of three
+# Variance before the first sample, in units of noise² and dt: nothing is known then.
+_UNKNOWN = 1e8
 
 
 class Kinematics(eqx.Module):
@@ -55,15 +54,14 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
             f"{log.name}: has no `{missing[0]}`; without a speed sensor, velocities come from the position "
             "and attitude of every free degree of freedom."
         )
-    value, slope, bend = np.zeros((3, len(log.t), 6))
-    for index, name in enumerate(CHANNELS[:6]):
-        if name not in wanted:
-            continue
-        samples = log.channels[:, index].copy()
+    places = np.array([CHANNELS.index(name) for name in wanted])
+    samples = log.channels[:, places].copy()
+    for column, name in zip(samples.T, wanted, strict=True):
         if name in ATTITUDE:
-            seen = np.isfinite(samples)
-            samples[seen] = np.unwrap(samples[seen])
-        value[:, index], slope[:, index], bend[:, index] = smooth(log.t, samples, float(noise[index]))
+            seen = np.isfinite(column)
+            column[seen] = np.unwrap(column[seen])
+    value, slope, bend = np.zeros((3, len(log.t), 6))
+    value[:, places], slope[:, places], bend[:, places] = smooth(log.t, samples, noise[places])
 
     attitude = value[:, 3:]
     turn = rotations(attitude)
@@ -82,55 +80,67 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
 
 
 def smooth(
-    t: Float[np.ndarray, " times"], samples: Float[np.ndarray, " times"], noise: float
-) -> Float[np.ndarray, "3 times"]:
-    """Value, slope and curvature of a noisy signal at each of its samples; NaN where none was taken.
+    t: Float[np.ndarray, " times"],
+    samples: Float[np.ndarray, "times channels"],
+    noise: Float[np.ndarray, " channels"],
+    strengths: Float[np.ndarray, " strengths"] = _STRENGTHS,
+) -> Float[np.ndarray, "3 times channels"]:
+    """Value, slope and curvature of noisy signals at each of their samples; NaN where none was taken.
 
-    - `noise`: standard deviation of the samples.
+    - `noise`: standard deviation of each channel's samples.
+    - `strengths`: of the white noise, in units of noise² / dt^5; the most likely one is taken per channel.
     """
     unit = float(np.median(np.diff(t)))
-    problem = _Smoothing(np.diff(t) / unit, samples / noise)
-    best = max((problem.solved(strength) for strength in _STRENGTHS), key=lambda s: s[0])
-    return noise * best[1].T / unit ** np.arange(3)[:, None]
+    steps = np.diff(t) / unit
+    first = np.array([column[np.isfinite(column)][0] for column in samples.T])
+    scaled = (samples - first) / noise
+    likelihood, _ = _forward(steps, scaled[:, :, None], strengths)
+    best = strengths[np.argmax(likelihood, axis=1)][:, None]
+    _, filtered = _forward(steps, scaled[:, :, None], best)
+    states = np.moveaxis(_backward(steps, filtered)[:, :, 0], -1, 0) * noise
+    states[0] += first
+    return states / unit ** np.arange(3)[:, None, None]
 
 
-class _Smoothing:
-    """Noise and time are one: min sum (y - x)² + sum |x_k+1 - F x_k|² / Q over all states x."""
+def _step(length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition of value, slope and curvature over a step, and the covariance that it adds."""
+    scale = length ** np.array([2.0, 1.0, 0.0])
+    forward = np.array([[1.0, length, length**2 / 2], [0.0, 1.0, length], [0.0, 0.0, 1.0]])
+    return forward, length * scale[:, None] * _SPREAD * scale
 
-    def __init__(self, steps: np.ndarray, samples: np.ndarray):
-        self.seen = np.isfinite(samples)
-        self.samples = np.where(self.seen, samples, 0.0)
-        powers = steps[:, None] ** np.arange(3)
-        forward = np.zeros((len(steps), 3, 3))
-        for i in range(3):
-            for j in range(i, 3):
-                forward[:, i, j] = powers[:, j - i] / (1.0, 1.0, 2.0)[j - i]
-        # Q over a step dt is S (dt _SPREAD) S with S = diag(dt², dt, 1).
-        scale = powers[:, ::-1]
-        precision = np.linalg.inv(_SPREAD) / (scale[:, :, None] * scale[:, None, :] * steps[:, None, None])
-        self.diagonal = np.zeros((len(samples), 3, 3))
-        self.diagonal[:-1] += np.swapaxes(forward, 1, 2) @ precision @ forward
-        self.diagonal[1:] += precision
-        self.below = -precision @ forward
 
-    def solved(self, strength: float) -> tuple[float, np.ndarray]:
-        """Log-likelihood of the samples up to a constant, and the states [times, 3]."""
-        count = len(self.samples)
-        diagonal = self.diagonal / strength
-        diagonal[:, 0, 0] += self.seen
-        bands = np.zeros((_BANDS, 3 * count))
-        for i in range(3):
-            for j in range(i + 1):
-                bands[i - j, j::3] = diagonal[:, i, j]
-            for j in range(3):
-                bands[3 + i - j, j : 3 * (count - 1) : 3] = self.below[:, i, j] / strength
-        right = np.zeros(3 * count)
-        right[::3] = self.samples
-        factor = scipy.linalg.cholesky_banded(bands, lower=True)
-        states = scipy.linalg.cho_solve_banded((factor, True), right)
-        cost = (self.samples**2).sum() - right @ states
-        spread = 2.0 * np.log(factor[0]).sum() + 3.0 * (count - 1) * np.log(strength)
-        return -0.5 * (cost + spread), states.reshape(count, 3)
+def _forward(steps: np.ndarray, samples: np.ndarray, strengths: np.ndarray):
+    """Kalman filter with noise and time in their own units: log-likelihood [channels, strengths], and mean
+    and covariance of the state at each sample."""
+    shape = np.broadcast_shapes(samples.shape[1:], strengths.shape)
+    mean, covariance = np.zeros((*shape, 3)), np.broadcast_to(_UNKNOWN * np.eye(3), (*shape, 3, 3))
+    likelihood, filtered = np.zeros(shape), []
+    for k, now in enumerate(samples):
+        if k:
+            forward, added = _step(steps[k - 1])
+            mean = mean @ forward.T
+            covariance = forward @ covariance @ forward.T + strengths[..., None, None] * added
+        seen = np.isfinite(now)
+        surprise = np.where(seen, now, 0.0) - mean[..., 0] * seen
+        spread = covariance[..., 0, 0] + 1.0
+        gain = covariance[..., 0] / spread[..., None] * seen[..., None]
+        likelihood = likelihood - 0.5 * seen * (surprise**2 / spread + np.log(spread))
+        mean = mean + gain * surprise[..., None]
+        covariance = covariance - gain[..., :, None] * covariance[..., :1, :]
+        covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
+        filtered.append((mean, covariance, strengths))
+    return likelihood, filtered
+
+
+def _backward(steps: np.ndarray, filtered: list) -> np.ndarray:
+    """Means of the states given all samples [times, channels, strengths, 3]."""
+    smoothed = [filtered[-1][0]]
+    for length, (mean, covariance, strengths) in zip(steps[::-1], filtered[-2::-1], strict=True):
+        forward, added = _step(length)
+        ahead = forward @ covariance @ forward.T + strengths[..., None, None] * added
+        missed = (smoothed[-1] - mean @ forward.T)[..., None]
+        smoothed.append(mean + (covariance @ forward.T @ np.linalg.solve(ahead, missed))[..., 0])
+    return np.array(smoothed[::-1])
 
 
 def _by_attitude(
