@@ -84,18 +84,13 @@ class RBFDamping(WrenchEffect):
     def __call__(self, motion: Motion) -> Wrench:
         places = np.array([DOFS.index(axis) for axis in self.axes])
         x = motion.nu_r[places] / self.input_scale
-        basis = _bell(x, self.centres, self.width[:, None])
-        at_rest = _bell(jnp.zeros_like(x), self.centres, self.width[:, None])
-        basis = basis - at_rest * _bell(x, jnp.zeros_like(x), self.width)[:, None]
-        known = 1.0 - jnp.prod(1.0 - _bell(x, self.seen, self.reach[:, None]), axis=-1)
-        force = self.output_scale * known * (self.weights * basis).sum(-1)
+        spread = 2.0 * self.width[:, None] ** 2
+        near = jnp.exp(-((x[None, None] - self.centres) ** 2).sum(-1) / spread)
+        at_rest = jnp.exp(-(self.centres**2).sum(-1) / spread) * jnp.exp(-(x**2).sum() / spread)
+        away = ((x[None] - self.seen) ** 2).sum(-1)[None] / (2.0 * self.reach[:, None] ** 2)
+        known = 1.0 - jnp.prod(1.0 - jnp.exp(-away), axis=-1)
+        force = self.output_scale * known * (self.weights * (near - at_rest)).sum(-1)
         return jnp.zeros(6).at[places].set(force)
-
-
-def _bell(x, centres, width):
-    """exp(-|x - c|² / 2 h²) for points and centres [..., axes]."""
-    distance = ((x - centres) ** 2).sum(-1)
-    return jnp.exp(-0.5 * distance / width**2)
 
 
 def rbf_damping(
