@@ -167,7 +167,7 @@ class Growth:
     def weights(self, count: int) -> Float[np.ndarray, " count"]:
         """Least-squares weights of the first `count` columns."""
         factor = self.factor[:count, :count]
-        return scipy.linalg.solve_triangular(factor, self.solution[:count], trans="T", lower=True)
+        return scipy.linalg.solve_triangular(factor, self.solution[:count], trans=1, lower=True)
 
     def predicted(self, columns: Float[np.ndarray, "samples taken"]) -> Float[np.ndarray, "samples taken"]:
         """What the first one, two, three ... columns predict, given the columns in the order of `order`."""
@@ -191,11 +191,11 @@ def grow(
     left, pull = np.diag(gram).copy(), right.copy()
     order, solution, taken = np.zeros(count, int), np.zeros(count), np.zeros(columns, bool)
     for k in range(count):
-        saved = np.where(taken, -np.inf, pull**2 / left)
-        j = int(np.argmax(saved))
-        root = np.sqrt(left[j])
-        row = (gram[j] - factor[:k, j] @ factor[:k]) / root
-        factor[k], order[k], solution[k], taken[j] = row, j, pull[j] / root, True
+        best = int(np.argmax(np.where(taken, -np.inf, pull**2 / left)))
+        root = np.sqrt(left[best])
+        row = (gram[best] - factor[:k, best] @ factor[:k]) / root
+        factor[k], solution[k] = row, pull[best] / root
+        order[k], taken[best] = best, True
         pull = pull - solution[k] * row
         # What rounding leaves of a column that is a sum of those that are in stays positive.
         left = np.maximum(left - row**2, 1e-12 * np.diag(gram))
@@ -213,7 +213,7 @@ def _left_out(
     squares = _squares(x, x)
     basis = basis_of(x, x, width)
     parts = np.unique(stretch)
-    most = min(most, min(np.count_nonzero(stretch != part) for part in parts))
+    most = min(most, *(int((stretch != part).sum()) for part in parts))
     out = {reach: np.zeros((y.shape[1], most + 1)) for reach in _REACHES}
     for part in parts:
         test, rest = stretch == part, stretch != part
