@@ -414,8 +414,8 @@ def markdown(results: Sequence[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _saved(plot, out: Path, name: str) -> None:
-    plot.tight_layout()
+def _saved(plot, out: Path, name: str, top: float = 1.0) -> None:
+    plot.tight_layout(rect=(0.0, 0.0, 1.0, top))
     for kind in ("png", "svg"):
         plot.savefig(out / f"{name}.{kind}", dpi=110)
     plt.close(plot)
@@ -455,8 +455,8 @@ def curves(out: Path, name: str, lines: dict[str, tuple[np.ndarray, str, str]], 
         ax.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(5))
         ax.set_xlabel(f"{DOFS[a]} ({UNITS[a]})")
         ax.set_ylabel(f"damping {FORCES[a].replace('[', '(').replace(']', ')')}")
-    axes[0, 0].legend(fontsize=8)
-    _saved(plot, out, name)
+    plot.legend(*axes[0, 0].get_legend_handles_labels(), loc="upper center", ncols=3, fontsize=8)
+    _saved(plot, out, name, top=0.9)
 
 
 def horizons(out: Path, trials: Sequence[Trial]) -> None:
@@ -464,7 +464,8 @@ def horizons(out: Path, trials: Sequence[Trial]) -> None:
     plot, axes = plt.subplots(1, 2, figsize=(10.0, 4.0), sharey=True)
     for ax, what in zip(axes, ("train", "test"), strict=True):
         for name, (color, style) in STYLES.items():
-            paths = np.array([t.error[what][name] for t in trials])
+            # Where half of the predictions have run away, the line ends.
+            paths = np.nan_to_num(np.array([t.error[what][name] for t in trials]), nan=np.inf)
             ax.semilogy(
                 DT * np.arange(paths.shape[1]), np.median(paths, axis=0), style, color=color, label=name
             )

@@ -15,7 +15,7 @@ from .._types import DOFS, Wrench
 from ..effects import Craft, Motion, Suspect, WrenchEffect
 
 # What left-out stretches choose among: widths of the basis functions and reaches of what was seen, in
-# spreads of the inputs; weight decay, in samples of unit force.
+# scaled velocity; weight decay, in samples of unit force.
 _WIDTHS = (1.0, 2.0, 4.0, 8.0)
 _DECAYS = (1e-3, 1e-1)
 _REACHES = (0.5, 1.0, 2.0)
@@ -33,7 +33,8 @@ class RBFDamping(WrenchEffect):
 
     - `centres`, `weights`: of each axis' network; `width` h: of its basis functions, in scaled velocity.
     - `seen`: velocities that the networks were fitted on; `reach` r: how far each of them vouches, scaled.
-    - `input_scale` [m/s, rad/s], `output_scale` [N, N m].
+    - `input_scale` [m/s, rad/s]: root mean square of the velocities, their usual distance from rest.
+    - `output_scale` [N, N m].
 
     Source: thesis sec. 7.1 and 7.2 (the networks where the velocity is known, (7.5) where it is not). There
     is no force at rest, by construction. Nothing makes the force dissipative.
@@ -107,7 +108,8 @@ def rbf_damping(
       those that predict a stretch best that is left out; at most `most` centres.
     """
     velocity, force = np.asarray(velocity, float), np.asarray(force, float)
-    input_scale = np.maximum(velocity.std(axis=0), 1e-9)
+    # Distances are measured against the way to rest, where the force is known to be none.
+    input_scale = np.maximum(np.sqrt((velocity**2).mean(axis=0)), 1e-9)
     output_scale = np.maximum(np.sqrt((force**2).mean(axis=0)), 1e-9)
     x, y = velocity / input_scale, force / output_scale
     best = [(np.inf, 0, 0.0, 0.0, 0.0)] * len(axes)
