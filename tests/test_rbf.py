@@ -139,19 +139,20 @@ def test_there_is_no_force_at_rest_and_none_far_away_and_the_way_between_is_smoo
 def learned() -> tuple[RBFDamping, np.ndarray]:
     """A term grown on a cubic drag and a product, of velocities about 1 m/s ahead."""
     rng = np.random.default_rng(4)
-    nu = np.zeros((240, 6))
-    nu[:, [0, 1]] = rng.normal(size=(240, 2)) * 0.2 + [1.0, 0.0]
+    nu = np.zeros((180, 6))
+    nu[:, [0, 1]] = rng.normal(size=(180, 2)) * 0.2 + [1.0, 0.0]
     force = np.stack([-3 * nu[:, 0] ** 3, -4 * nu[:, 0] * nu[:, 1]], axis=1)
     force += 0.05 * rng.standard_normal(force.shape)
-    return rbf_damping(("surge", "sway"), nu[:, :2], force, np.arange(240) // 40, 60), nu
+    return rbf_damping(("surge", "sway"), nu[:, :2], force, np.arange(180) // 30, 60), nu
 
 
 def test_it_learns_a_force_where_data_are_and_leaves_the_vehicle_alone_elsewhere():
     term, nu = learned()
     inside = np.asarray(jax.vmap(lambda v: term(motion(v)))(jnp.asarray(nu)))
     true = np.stack([-3 * nu[:, 0] ** 3, -4 * nu[:, 0] * nu[:, 1]], axis=1)
-    # Forces of 3.9 N and 0.8 N (rms) with a noise of 0.05 N, and 240 samples for some tens of weights.
-    assert (np.sqrt(((inside[:, :2] - true) ** 2).mean(axis=0)) < [0.12, 0.04]).all()
+    # Of forces of 3.9 N and 0.8 N (rms) measured with a noise of 0.05 N, the fit leaves what some tens of
+    # weights on 180 samples let through.
+    assert (np.sqrt(((inside[:, :2] - true) ** 2).mean(axis=0)) < [0.06, 0.03]).all()
     assert np.abs(inside[:, 2:]).max() == 0.0
     away = term(motion([-3.0, 2.0, 0, 0, 0, 0]))
     assert np.abs(away).max() < 1e-10

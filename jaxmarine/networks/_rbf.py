@@ -16,8 +16,8 @@ from ..effects import Craft, Motion, Suspect, WrenchEffect
 
 # What left-out stretches choose among: widths of the basis functions and reaches of what was seen, in
 # scaled velocity; weight decay, in samples of unit force.
-_WIDTHS = (1.0, 2.0, 4.0, 8.0)
-_DECAYS = (1e-3, 1e-1)
+_WIDTHS = (0.5, 1.0, 2.0, 4.0, 8.0)
+_DECAYS = (1e-6, 1e-4, 1e-2)
 _REACHES = (0.5, 1.0, 2.0)
 # More velocities than these vouch for nothing new.
 _MOST_SEEN = 200
