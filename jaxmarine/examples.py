@@ -42,11 +42,11 @@ def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
     """The log of a vehicle from rest under commands, with the white noise that its file states."""
     stated = dict(vehicle.sensors)
     noise = np.array([stated[kind] for kind, channels in SENSORS.items() for _ in channels])
-    empty = Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.thruster_names, name)
+    empty = Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.command_names, name)
     clean = np.asarray(simulate(vehicle, empty, initial_state(vehicle)).channels)
     rng = np.random.default_rng(seed)
     channels = clean + noise * rng.standard_normal(clean.shape)
-    return Log(t, channels, commands, None, vehicle.thruster_names, name)
+    return Log(t, channels, commands, None, vehicle.command_names, name)
 
 
 def hidden(
@@ -67,6 +67,6 @@ def hidden(
     logs = []
     for i, (length, name) in enumerate(zip(duration, ("train.csv", "test.csv"), strict=True)):
         t = np.arange(0.0, length, 0.1)
-        commands = operator(len(vehicle.thruster_names), t, seed + 2 * i)
+        commands = operator(len(vehicle.command_names), t, seed + 2 * i)
         logs.append(recorded(plant, commands, t, seed + 2 * i + 1, name))
     return logs[0], logs[1]

@@ -5,6 +5,7 @@ input as its argument: an input looked up by time inside the vector field would 
 of a step the next sample.
 """
 
+import dataclasses
 from typing import Any, ClassVar
 
 import diffrax
@@ -43,7 +44,7 @@ def _rates(t, state: State, args: tuple[Plant, Input]) -> State:
     plant, drive = args
     # Commands are held; the thrust of a slow thruster changes within the hold, and waves go on.
     thrust = drive.thrust if drive.slope is None else drive.thrust + drive.slope * (t - drive.middle)
-    return plant.rates(state, Input(thrust, drive.command, drive.wrench, t))
+    return plant.rates(state, Input(thrust, drive.command, drive.wrench, t, slide=drive.slide))
 
 
 # The state of a solver that has made no step; with `made_jump` nothing of it is used.
@@ -139,18 +140,23 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
     """The inputs over each hold and at each sample.
 
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
+    - `commands`: columns as `Vehicle.command_names`.
     """
+    slide = plant.slides(t, commands)
+    commands = commands[:, : plant.drive.max_thrust.shape[-1]]
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
     push = thrust(drive, t, commands)
     middle = t + 0.5 * step_lengths(t)
-    over = Input(push.mean, commands, wrench, t, push.slope, middle)
-    return over, Input(push.instant, commands, wrench, t)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle, slide)
+    return over, Input(push.instant, commands, wrench, t, slide=slide)
 
 
 @eqx.filter_jit
 def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split):
     plants = jax.vmap(vehicle.plant)(acting)
-    over, at = inputs(jax.tree.map(lambda a: a[segment], plants), t, commands, wrench)
+    # The slider is no effect: it is the same in all segments.
+    sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), slider=vehicle.slider)
+    over, at = inputs(sampled, t, commands, wrench)
 
     def step(state, now):
         index, over, at, dt, split = now
@@ -192,7 +198,7 @@ def simulate(
     - `earlier`: names of logs recorded before the effects with `since` began.
     """
     acting, segment = np.unique(gates(vehicle, log, earlier), axis=0, return_inverse=True)
-    count = len(vehicle.thruster_names)
+    count = len(vehicle.command_names)
     commands = jnp.zeros((len(log.t), count)) if log.commands is None else jnp.asarray(log.commands)
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
     # A gap in the log is one long hold.

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import DOFS, Matrix6, Quaternion, Vector3, Velocity, Wrench
+from ._types import DOFS, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
 from .effects import (
     CATALOGUE,
     AbstractEffect,
@@ -32,6 +32,8 @@ from .effects import (
 from .physics import (
     Drive,
     Load,
+    Slide,
+    Slider,
     apply,
     attitude_rate,
     coriolis,
@@ -59,7 +61,8 @@ class State(eqx.Module):
 class Input(eqx.Module):
     """What drives the vehicle: thrust [N] before inflow loss, commands, a wrench, the time [s].
 
-    Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`.
+    Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `slide` is
+    the motion of a sliding mass; None: it rests where the file has it.
     """
 
     thrust: Float[Array, " thrusters"]
@@ -68,6 +71,7 @@ class Input(eqx.Module):
     t: Float[Array, ""]
     slope: Float[Array, " thrusters"] | None = None
     middle: Float[Array, ""] | None = None
+    slide: Slide | None = None
 
 
 class Body(eqx.Module):
@@ -137,6 +141,7 @@ class Vehicle(eqx.Module):
     thruster_names: tuple[str, ...] = eqx.field(static=True)
     # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    slider: Slider | None = None
 
     def __check_init__(self):
         for what, matrix in (
@@ -155,9 +160,15 @@ class Vehicle(eqx.Module):
         return np.array([float(dof in self.dof) for dof in DOFS])
 
     @property
+    def command_names(self) -> tuple[str, ...]:
+        """The command columns of a log: the thrusters and, behind them, the sliding mass."""
+        return self.thruster_names if self.slider is None else (*self.thruster_names, self.slider.name)
+
+    @property
     def command_limits(self) -> np.ndarray:
-        """The largest command allowed per thruster."""
-        return np.maximum(1.0, np.asarray(self.thrusters.saturation))
+        """The largest command allowed per command column."""
+        limits = np.maximum(1.0, np.asarray(self.thrusters.saturation))
+        return limits if self.slider is None else np.append(limits, 1.0)
 
     @property
     def mass_matrix(self) -> Matrix6:
@@ -218,6 +229,7 @@ class Vehicle(eqx.Module):
             wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
             sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
             free=free,
+            slider=self.slider,
         )
 
 
@@ -234,6 +246,7 @@ class Plant(eqx.Module):
     wrenches: tuple[WrenchEffect, ...]
     sensors: tuple[SensorEffect, ...]
     free: Float[Array, "6"]
+    slider: Slider | None = None
 
     @property
     def has_memory(self) -> bool:
@@ -252,6 +265,24 @@ class Plant(eqx.Module):
         flow = apply(rotation(attitude).T, self.water)
         return (velocity - jnp.concatenate([flow, jnp.zeros(3)])) * self.free
 
+    def slides(self, t: Times, commands: Float[Array, "times columns"]) -> Slide | None:
+        """The motion of the sliding mass over each hold, if there is one; its column is the last."""
+        return None if self.slider is None else self.slider.slides(t, commands[:, -1])
+
+    def carried(self, drive: Input) -> Load:
+        """What the vehicle carries, with the sliding mass where the input has it."""
+        if self.slider is None or drive.slide is None:
+            return self.load
+        return self.slider.moved(self.load, drive.slide(drive.t)[0])
+
+    def mobility(self, drive: Input) -> Matrix6:
+        """The inverse of the mass matrix under the given input, zero on locked axes."""
+        if self.slider is None or drive.slide is None:
+            return self.inverse_mass
+        both = self.free[:, None] * self.free[None, :]
+        load = self.carried(drive)
+        return both * jnp.linalg.inv(both * (load.rigid + load.added) + jnp.diag(1.0 - self.free))
+
     def _motion(self, state: State, drive: Input) -> Motion:
         return Motion(
             position=state.position,
@@ -269,8 +300,10 @@ class Plant(eqx.Module):
         `M_RB nu' + C_RB nu + M_A nu_r' + C_A nu_r + D nu_r + g - tau - (wrenches of effects)`, zero on
         the free axes where `nu_dot` is the acceleration of this vehicle. Fossen (2021), eq. 10.124, with
         `nu_r' = nu' + (w x R' v_c, 0)` for a current that is steady in earth axes. The Coriolis term
-        of the added mass uses the symmetric part of its matrix, which alone has kinetic energy.
+        of the added mass uses the symmetric part of its matrix, which alone has kinetic energy. A sliding
+        mass adds `V nu + b` (`Slider.reaction`), and M_RB and g have it where it is.
         """
+        load = self.carried(drive)
         motion = self._motion(state, drive)
         omega = state.velocity[3:]
         current = apply(motion.rotation.T, self.water)
@@ -278,22 +311,24 @@ class Plant(eqx.Module):
         along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
         thrust = drive.thrust * (1.0 - self.drive.inflow * along)
         out = (
-            apply(self.load.rigid, nu_dot)
-            + coriolis(self.load.rigid, state.velocity)
-            + apply(self.load.added, relative_dot)
-            + coriolis(0.5 * (self.load.added + self.load.added.T), motion.nu_r)
+            apply(load.rigid, nu_dot)
+            + coriolis(load.rigid, state.velocity)
+            + apply(load.added, relative_dot)
+            + coriolis(0.5 * (load.added + load.added.T), motion.nu_r)
             + damping(self.damping.linear, self.damping.quadratic, motion.nu_r)
-            + self.load.restoring(motion.rotation[2])
+            + load.restoring(motion.rotation[2])
             - apply(self.allocation, thrust)
             - drive.wrench
         )
+        if self.slider is not None and drive.slide is not None:
+            out = out + self.slider.reaction(drive.slide(drive.t), state.velocity)
         for effect in self.wrenches:
             out = out - effect(motion)
         return out
 
     def acceleration(self, state: State, drive: Input) -> Velocity:
         """Forward dynamics: nu' [m/s², rad/s²]; locked axes stay at rest."""
-        return -apply(self.inverse_mass, self.balance(state, jnp.zeros(6), drive))
+        return -apply(self.mobility(drive), self.balance(state, jnp.zeros(6), drive))
 
     def rates(self, state: State, drive: Input) -> State:
         """Time derivative of the state."""
@@ -323,8 +358,13 @@ def forward_dynamics(vehicle: Vehicle, state: State, drive: Input) -> Velocity:
     return vehicle.plant().acceleration(state, drive)
 
 
-def inverse_dynamics(vehicle: Vehicle, state: State, nu_dot: Velocity, t=0.0) -> Wrench:
-    """The control wrench at `o` [N, N m] that gives the acceleration `nu_dot`, for feedforward control."""
+def inverse_dynamics(
+    vehicle: Vehicle, state: State, nu_dot: Velocity, t=0.0, slide: Slide | None = None
+) -> Wrench:
+    """The control wrench at `o` [N, N m] that gives the acceleration `nu_dot`, for feedforward control.
+
+    - `slide`: motion of a sliding mass; None: it rests where the file has it.
+    """
     count = len(vehicle.thruster_names)
-    nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float))
+    nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float), slide=slide)
     return vehicle.plant().balance(state, nu_dot, nothing)

@@ -157,6 +157,23 @@ class Damping(_Table):
     quadratic: Rows6 = Field(description="6 rows of 6 numbers (D_q), or 6 numbers for a diagonal")
 
 
+def _usable_name(name: str) -> str:
+    if not name or name != name.strip() or not name.isprintable():
+        raise ValueError(f"is {name!r}, but must be a name without spaces around it.")
+    if name in _RESERVED:
+        raise ValueError(f"is `{name}`, which names something else in logs; choose another.")
+    return name
+
+
+def _unit_direction(direction: Triple) -> tuple[float, ...]:
+    length = math.hypot(*direction)
+    if length == 0:
+        raise ValueError("must not be zero; give the direction of a positive command.")
+    if abs(length - 1) < _UNIT_LENGTH:
+        return direction
+    return tuple(part / length for part in direction)
+
+
 class Thruster(_Table):
     """One actuator with a command column of its name."""
 
@@ -169,24 +186,24 @@ class Thruster(_Table):
     delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     saturation: Number = Field(default=1.0, gt=0, description="a positive number [command]")
 
-    @pydantic.field_validator("name")
-    @classmethod
-    def _usable_name(cls, name: str) -> str:
-        if not name or name != name.strip() or not name.isprintable():
-            raise ValueError(f"is {name!r}, but must be a name without spaces around it.")
-        if name in _RESERVED:
-            raise ValueError(f"is `{name}`, which names something else in logs; choose another.")
-        return name
+    _usable_name = pydantic.field_validator("name")(_usable_name)
+    _unit_direction = pydantic.field_validator("direction")(_unit_direction)
 
-    @pydantic.field_validator("direction")
-    @classmethod
-    def _unit_direction(cls, direction: Triple) -> tuple[float, ...]:
-        length = math.hypot(*direction)
-        if length == 0:
-            raise ValueError("must not be zero; give the direction of positive thrust.")
-        if abs(length - 1) < _UNIT_LENGTH:
-            return direction
-        return tuple(part / length for part in direction)
+
+class Slider(_Table):
+    """A mass that slides in the vehicle, with a command column of its name."""
+
+    name: str = Field(description="the name of the slider's command column, in quotes")
+    mass: Number = Field(gt=0, description="a positive number [kg], part of the body's mass")
+    position: Triple = Field(
+        description="[x, y, z] from `o` at command 0, where the body's masses have it [m]"
+    )
+    direction: Triple = Field(description="[x, y, z], not zero: where a positive command moves it")
+    travel: Number = Field(gt=0, description="a positive number, the way at command 1 [m]")
+    time_constant: Number = Field(gt=0, description="a positive number, of its critically damped servo [s]")
+
+    _usable_name = pydantic.field_validator("name")(_usable_name)
+    _unit_direction = pydantic.field_validator("direction")(_unit_direction)
 
 
 class Sensors(_Table):
@@ -266,6 +283,7 @@ class VehicleFile(_Table):
     added_mass: AddedMass = Field(description="a table [added_mass] with matrix")
     damping: Damping = Field(description="a table [damping] with linear and quadratic")
     thruster: tuple[Thruster, ...] = Field(default=(), description="tables [[thruster]]")
+    slider: Slider | None = Field(default=None, description="a table [slider]")
     sensors: Sensors = Field(default=Sensors(), description="a table [sensors]")
     effect: tuple[EffectEntry, ...] = Field(default=(), description="tables [[effect]]")
 
@@ -300,6 +318,19 @@ class VehicleFile(_Table):
         return thruster
 
     @pydantic.model_validator(mode="after")
+    def _carries_its_slider(self) -> "VehicleFile":
+        if self.slider is None:
+            return self
+        if self.slider.name in self.thruster_names:
+            raise ValueError(f"`slider.name` is `{self.slider.name}`, as a thruster's is; choose another.")
+        if self.slider.mass >= self.body.mass:
+            raise ValueError(
+                f"`slider.mass` is {self.slider.mass:g} kg, but must be below `body.mass`, "
+                f"{self.body.mass:g} kg, which it is part of."
+            )
+        return self
+
+    @pydantic.model_validator(mode="after")
     def _accelerates(self) -> "VehicleFile":
         free = np.isin(DOFS, self.dof)
         if self.body.inertia is not None:
@@ -326,9 +357,15 @@ class VehicleFile(_Table):
         return tuple(thruster.name for thruster in self.thruster)
 
     @property
-    def command_limits(self) -> Float[np.ndarray, " thrusters"]:
+    def command_names(self) -> tuple[str, ...]:
+        """Names of all command columns: the thrusters and, behind them, the slider."""
+        return self.thruster_names if self.slider is None else (*self.thruster_names, self.slider.name)
+
+    @property
+    def command_limits(self) -> Float[np.ndarray, " columns"]:
         """The largest |command| that a log may hold: a saturation above 1 widens [-1, 1]."""
-        return np.array([max(1.0, thruster.saturation) for thruster in self.thruster], float)
+        limits = [max(1.0, thruster.saturation) for thruster in self.thruster]
+        return np.array(limits if self.slider is None else [*limits, 1.0], float)
 
     @property
     def weight(self) -> float:

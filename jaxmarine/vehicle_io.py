@@ -1,5 +1,6 @@
 """Vehicles in files: TOML read into a `Vehicle` and written back, learned terms beside it."""
 
+import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,14 +11,16 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import LearnedThrust, LearnedWrench, MLPDamping, signals_known
+from .networks import LearnedThrust, LearnedWrench, MLPDamping, RBFDamping, signals_known
+from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
+from .vehicle_file import Slider as SliderTable
 
 # Learned terms that are made from their arrays and their inputs alone.
-_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, LearnedThrust)}
+_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, RBFDamping, LearnedThrust)}
 _LEARNED = (LearnedWrench.name, *_OF_ARRAYS)
-_Learned = LearnedWrench | MLPDamping | LearnedThrust
+_Learned = LearnedWrench | MLPDamping | RBFDamping | LearnedThrust
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -51,7 +54,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
         if entry.arrays is None or not entry.inputs or entry.inputs != file.thruster_names:
             raise ValueError("is a learned thrust and needs `arrays`, and all thrusters as `inputs`.")
         return
-    if entry.effect == MLPDamping.name:
+    if entry.effect in (MLPDamping.name, RBFDamping.name):
         if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
             raise ValueError("is a learned damping and needs `arrays`, and free axes as `inputs`.")
         return
@@ -92,6 +95,14 @@ def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
         dof=file.dof,
         thruster_names=file.thruster_names,
         sensors=tuple(file.sensors.stated().items()),
+        slider=None if file.slider is None else _slider(file.slider),
+    )
+
+
+def _slider(table: SliderTable) -> Slider:
+    numbers = table.model_dump(exclude={"name"})
+    return Slider(
+        **{name: jnp.asarray(np.array(value, float)) for name, value in numbers.items()}, name=table.name
     )
 
 
@@ -203,11 +214,18 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
+            "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "effect": entries,
         }
     )
     write_vehicle_file(file, path)
+
+
+def _slider_table(slider: Slider) -> dict:
+    numbers = {field.name: getattr(slider, field.name) for field in dataclasses.fields(slider)}
+    name = numbers.pop("name")
+    return {"name": name} | {key: np.asarray(value).tolist() for key, value in numbers.items()}
 
 
 def packaged_vehicle(name: str) -> Path:

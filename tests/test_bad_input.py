@@ -147,7 +147,7 @@ def test_a_log_that_is_not_there_or_no_file_is_refused(tmp_path):
 
 
 def test_a_vehicle_without_thrusters_needs_the_wrench(tmp_path):
-    bare = types.SimpleNamespace(dof=("surge",), thruster_names=(), command_limits=np.ones(0))
+    bare = types.SimpleNamespace(dof=("surge",), command_names=(), command_limits=np.ones(0))
     planar_table().to_csv(tmp_path / "run.csv", index=False)
     message = refusal(lambda: read_log(tmp_path / "run.csv", bare))
     assert "lacks `X`; the vehicle has no thruster" in message

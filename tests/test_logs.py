@@ -32,10 +32,10 @@ from jaxmarine.vehicle_file import read_vehicle_file
 
 PLANAR = types.SimpleNamespace(
     dof=("surge", "sway", "yaw"),
-    thruster_names=("port", "star"),
+    command_names=("port", "star"),
     command_limits=np.array([1.0, 1.2]),
 )
-FULL = types.SimpleNamespace(dof=DOFS, thruster_names=("main",), command_limits=np.ones(1))
+FULL = types.SimpleNamespace(dof=DOFS, command_names=("main",), command_limits=np.ones(1))
 
 
 def planar_table(rows: int = 12) -> pd.DataFrame:

@@ -49,7 +49,7 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
         if source.commands is not None:
-            command[here] = np.asarray(source.commands)[sample]
+            command[here] = np.asarray(source.commands)[sample][..., : command.shape[-1]]
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
     signals = {name: state[:, :, i] for i, name in enumerate(names) if name in SIGNALS}
     signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.thruster_names)}

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..physics import Drive, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
+from ..physics import Drive, Slide, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._windows import ANGLES, Records, Windows
@@ -156,7 +156,16 @@ def _drives(problem: Problem, drives: Drive) -> Thrust:
         here = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), _pick(drives, segment))
         return thrust(here, t, commands)
 
-    return jax.vmap(one)(records.t, records.commands, records.segment)
+    thrusters = drives.max_thrust.shape[-1]
+    return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+
+
+def _slides(problem: Problem, plants: Plant) -> Slide | None:
+    """The motion of the sliding mass over each hold of all logs; its servo is the same in all segments."""
+    plant = jax.tree.map(lambda a: a[0], plants)
+    if plant.slider is None:
+        return None
+    return jax.vmap(plant.slides)(problem.records.t, problem.records.commands)
 
 
 def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
@@ -183,7 +192,8 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
             for old, new in zip(out, (values.mean, values.instant), strict=True)
         )
 
-    nothing = jnp.zeros((*problem.records.commands.shape, jax.tree.leaves(slopes)[0].shape[-1]))
+    shape = (*problem.records.t.shape, *jax.tree.leaves(slopes)[0].shape[1:])
+    nothing = jnp.zeros(shape)
     return jax.lax.fori_loop(0, problem.records.segment.max() + 1, one, (nothing, nothing))
 
 
@@ -229,14 +239,16 @@ class _Track(eqx.Module):
     dt: Array
 
 
-def _tracks(problem: Problem, push: Thrust, lagged) -> _Track:
+def _tracks(problem: Problem, plants: Plant, push: Thrust, lagged) -> _Track:
     """The tracks of all windows, stacked."""
     records, log, step = problem.records, problem.windows.log[:, None], problem.windows.step
     t, dt = records.t[log, step], records.dt[log, step]
-    common = (records.commands[log, step], records.wrench[log, step], t)
+    commands = records.commands[log, step, : push.mean.shape[-1]]
+    common = (commands, records.wrench[log, step], t)
+    slide = jax.tree.map(lambda a: a[log, step], _slides(problem, plants))
     return _Track(
-        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt),
-        instant=Input(push.instant[log, step], *common),
+        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),
+        instant=Input(push.instant[log, step], *common, slide=slide),
         lagged=lagged[log, step],
         segment=records.segment[log, step],
         dt=dt,
@@ -263,7 +275,7 @@ def predict(problem: Problem, theta, delta):
     """Predicted channels of every window [windows, steps, 18] and the residuals, weighted."""
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
     lagged = _memory(problem, plants)[0]
-    tracks = _tracks(problem, _drives(problem, plants.drive), lagged)
+    tracks = _tracks(problem, plants, _drives(problem, plants.drive), lagged)
 
     def one(windows, track, delta):
         states, _ = _roll(problem, plants, track, _start(windows, delta, track.lagged[0]), follow=False)
@@ -334,7 +346,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
     chain_slopes = slope(_chain)
     d_mean, d_at = _drive_sensitivities(problem, plants.drive, drive_slopes)
     lagged, d_lagged = _memory(problem, plants)
-    tracks = _tracks(problem, _drives(problem, plants.drive), lagged)
+    tracks = _tracks(problem, plants, _drives(problem, plants.drive), lagged)
     log, step = problem.windows.log[:, None], problem.windows.step
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
@@ -349,7 +361,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
             x, nu_dot, drive.thrust, theta[first], lagged, first, drive
         )
-        return nu_dot, slopes, plant.inverse_mass
+        return nu_dot, slopes, plant.mobility(drive)
 
     def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
@@ -416,7 +428,13 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
             if d_slow.shape[-1]
             else d_slow
         )
-        over = Input(track.over.thrust, track.over.command, track.over.wrench, track.over.middle)
+        over = Input(
+            track.over.thrust,
+            track.over.command,
+            track.over.wrench,
+            track.over.middle,
+            slide=track.over.slide,
+        )
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
         at_middle = (middle, over, between, track.segment, d_mean, d_lagged)
         if problem.accelerations:

@@ -23,7 +23,7 @@ from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Problem, _drives, _memory, _pick, start_precision
+from ._linearise import Problem, _drives, _memory, _pick, _slides, start_precision
 from ._trajectory import segments
 from ._windows import cut
 
@@ -65,7 +65,9 @@ class OneStep(eqx.Module):
         thrust = push.instant if samples.instant else 0.5 * (before + push.mean)
         lagged, _ = _memory(self.problem, plants)
         states = State(samples.position, samples.attitude, samples.velocity, lagged)
-        drive = Input(thrust, records.commands, records.wrench, records.t)
+        commands = records.commands[..., : thrust.shape[-1]]
+        slide = _slides(self.problem, plants)
+        drive = Input(thrust, commands, records.wrench, records.t, slide=slide)
 
         def one(state, acceleration, drive, segment):
             return of(_pick(plants, segment), state, acceleration, drive)
@@ -78,7 +80,11 @@ class OneStep(eqx.Module):
 
     def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
-        return self._at_samples(z, lambda plant, *sample: apply(plant.inverse_mass, plant.balance(*sample)))
+
+        def of(plant: Plant, state: State, acceleration: Array, drive: Input):
+            return apply(plant.mobility(drive), plant.balance(state, acceleration, drive))
+
+        return self._at_samples(z, of)
 
     def residuals(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         return self.errors(z) * self.samples.weight

@@ -26,7 +26,7 @@ class Records(eqx.Module):
 
     t: Float[Array, "logs steps"]
     dt: Float[Array, "logs steps"]
-    commands: Float[Array, "logs steps thrusters"]
+    commands: Float[Array, "logs steps columns"]
     wrench: Float[Array, "logs steps 6"]
     attitude: Float[Array, "logs steps 4"]
     velocity: Float[Array, "logs steps 6"]
@@ -108,14 +108,17 @@ class Room:
 
 
 def _settled(vehicle: Vehicle, log: Log) -> int:
-    """The first sample at which what the thrusters were told before the log no longer acts.
+    """The first sample at which what the actuators were told before the log no longer acts.
 
-    Four lags and the delay, placed effects included; at most a tenth of the log.
+    Four lags and the delay, placed effects included, or six of a sliding mass' servo, whose pole is
+    double; at most a tenth of the log.
     """
-    if log.commands is None or not vehicle.thruster_names:
+    if log.commands is None or not vehicle.command_names:
         return 0
     drive = vehicle.plant().drive
-    memory = float(jnp.max(4.0 * drive.lag + drive.delay))
+    memory = float(jnp.max(4.0 * drive.lag + drive.delay, initial=0.0))
+    if vehicle.slider is not None:
+        memory = max(memory, 6.0 * float(vehicle.slider.time_constant))
     return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))
 
 
@@ -136,7 +139,7 @@ def cut(
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
     """
     longest = max(len(log.t) for log in logs)
-    count = len(vehicle.thruster_names)
+    count = len(vehicle.command_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "attitude", "velocity", "segment")}
     parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
     starts = []

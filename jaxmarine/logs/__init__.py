@@ -4,6 +4,9 @@ from ._columns import ColumnMap as ColumnMap
 from ._columns import ColumnSource as ColumnSource
 from ._columns import read_columns as read_columns
 from ._craft import Craft as Craft
+from ._kinematics import Kinematics as Kinematics
+from ._kinematics import differentiate as differentiate
+from ._kinematics import smooth as smooth
 from ._log import Log as Log
 from ._noise import estimate_noise as estimate_noise
 from ._noise import sensor_noise as sensor_noise

@@ -12,15 +12,15 @@ class Craft(Protocol):
     """A vehicle as its logs see it.
 
     - `dof`: the free degrees of freedom, names as in `DOFS`.
-    - `thruster_names`: the names of the command columns.
-    - `command_limits`: the largest |command| allowed per thruster, max(1, saturation).
+    - `command_names`: the names of the command columns, one per thruster and one for a sliding mass.
+    - `command_limits`: the largest |command| allowed per column, max(1, saturation).
     """
 
     @property
     def dof(self) -> tuple[str, ...]: ...
 
     @property
-    def thruster_names(self) -> tuple[str, ...]: ...
+    def command_names(self) -> tuple[str, ...]: ...
 
     @property
     def command_limits(self) -> np.ndarray: ...

@@ -39,7 +39,7 @@ def read_log(
     """
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_columns(columns)
-    file = _MappedFile(path, vehicle.thruster_names, columns)
+    file = _MappedFile(path, vehicle.command_names, columns)
     t = _time(file)
     channels = np.full((len(t), len(CHANNELS)), np.nan)
     for index, name in enumerate(CHANNELS):
@@ -53,7 +53,7 @@ def read_log(
         channels=channels,
         commands=commands,
         wrench=wrench,
-        thrusters=tuple(vehicle.thruster_names),
+        thrusters=tuple(vehicle.command_names),
         name=Path(path).name,
         notes=tuple(file.notes),
     )
@@ -199,7 +199,7 @@ def _check_motion(file: _MappedFile, channels: np.ndarray, dof: Sequence[str]) -
 
 def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:
     """The commands, or else the wrench, without gaps."""
-    thrusters, wrench = vehicle.thruster_names, free_wrench(vehicle.dof)
+    thrusters, wrench = vehicle.command_names, free_wrench(vehicle.dof)
     given = [name for name in WRENCH if name in file]
     if thrusters and not file.missing(thrusters):
         if given:
@@ -228,7 +228,7 @@ def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.nda
 
 def _commands(file: _MappedFile, vehicle: Craft) -> np.ndarray:
     columns = []
-    for name, limit in zip(vehicle.thruster_names, vehicle.command_limits, strict=True):
+    for name, limit in zip(vehicle.command_names, vehicle.command_limits, strict=True):
         command = _held(file, name)
         beyond = np.flatnonzero(np.abs(command) > limit * (1 + _ROUNDING))
         if len(beyond):

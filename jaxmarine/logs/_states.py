@@ -58,8 +58,8 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
 
     attitude = _attitude(log.t, value[:, 3:6], value[:, 9:12], known_pose[3:])
     slope[:, 3:6] = np.where(known_pose[3:], slope[:, 3:6], np.gradient(attitude, log.t, axis=0))
-    rates = np.where(known_nu[3:], value[:, 9:12], _body_rates(attitude, slope[:, 3:6]))
-    turn = _rotations(attitude)
+    rates = np.where(known_nu[3:], value[:, 9:12], body_rates(attitude, slope[:, 3:6]))
+    turn = rotations(attitude)
     velocity = _body_velocity(turn, value[:, 6:9], slope[:, :3], known_nu[:3], known_pose[:3])
     travelled = _integral(log.t, np.einsum("tij,tj->ti", turn, velocity))
     position = np.where(known_pose[:3], value[:, :3], travelled * pose_free[:3])
@@ -71,7 +71,7 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
     )
 
 
-def _rotations(attitude: Float[np.ndarray, "times 3"]) -> Float[np.ndarray, "times 3 3"]:
+def rotations(attitude: Float[np.ndarray, "times 3"]) -> Float[np.ndarray, "times 3 3"]:
     """Rotation matrices from body to NED axes of phi theta psi [rad], ZYX."""
     (cf, ct, cp), (sf, st, sp) = np.cos(attitude).T, np.sin(attitude).T
     rows = [
@@ -125,7 +125,7 @@ def _attitude(t: np.ndarray, measured: np.ndarray, rates: np.ndarray, known: np.
     # Rotations are composed, as summed Euler rates would blow up at a pitch of 90 degrees.
     turning = np.diff(t)[:, None] * (rates[1:] + rates[:-1]) / 2
     steps = Rotation.from_rotvec(turning).as_matrix()
-    turn = _rotations(attitude[:1])[0]
+    turn = rotations(attitude[:1])[0]
     for k, step in enumerate(steps, start=1):
         turn = turn @ step
         turned = np.array(
@@ -137,11 +137,11 @@ def _attitude(t: np.ndarray, measured: np.ndarray, rates: np.ndarray, known: np.
         )
         attitude[k] = np.where(known, measured[k], turned)
         if known.any():
-            turn = _rotations(attitude[k : k + 1])[0]
+            turn = rotations(attitude[k : k + 1])[0]
     return np.unwrap(attitude, axis=0)
 
 
-def _body_rates(attitude: np.ndarray, slope: np.ndarray) -> np.ndarray:
+def body_rates(attitude: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """p q r [T,3] of the time derivatives of phi theta psi."""
     (phi, theta, _), (dphi, dtheta, dpsi) = attitude.T, slope.T
     return np.stack(

@@ -17,6 +17,11 @@ from ._learned import (
 from ._learned import (
     signals_known as signals_known,
 )
+from ._rbf import Growth as Growth
+from ._rbf import RBFDamping as RBFDamping
+from ._rbf import basis_of as basis_of
+from ._rbf import grow as grow
+from ._rbf import rbf_damping as rbf_damping
 from ._seen import Seen as Seen
 from ._thrust import LearnedThrust as LearnedThrust
 from ._thrust import learned_thrust as learned_thrust

@@ -57,3 +57,5 @@ from ._geometry import (
 from ._geometry import (
     Sphere as Sphere,
 )
+from ._slider import Slide as Slide
+from ._slider import Slider as Slider
