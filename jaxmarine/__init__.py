@@ -45,6 +45,9 @@ from .vehicle import (
     Vehicle as Vehicle,
 )
 from .vehicle import (
+    allocate as allocate,
+)
+from .vehicle import (
     forward_dynamics as forward_dynamics,
 )
 from .vehicle import (
