@@ -16,8 +16,8 @@ def feedforward(vehicle: Vehicle, reference: Reference) -> Float[Array, "times 6
     damping is positive feedback: estimates that are a tenth too large make the loop unstable, while
     thesis (5.26) does not say which is meant.
 
-    A wrench that is held for dt belongs to the middle of its hold: `feedforward(vehicle, path.at(t + dt / 2))`.
-    For vehicles without fluid memory.
+    A wrench that is held for dt belongs to the middle of its hold:
+    `feedforward(vehicle, path.at(t + dt / 2))`. For vehicles without fluid memory.
     """
     if vehicle.plant().has_memory:
         raise ValueError("Feedforward needs a vehicle without fluid memory: a reference has none.")

@@ -43,8 +43,8 @@ class Learner:
 
     Four things keep it from running away. The window forgets what is old. The prior of every refit
     stands at the last good model, so that what the window does not excite stays. Damping matrices
-    stay dissipative, and an update that gives energy to the hull at any velocity of the window is refused. The
-    newest part of the window is not learned from: there the update has to predict better than the
+    stay dissipative, and an update that gives energy to the hull at a velocity of the window is refused.
+    The newest part of the window is not learned from: there the update has to predict better than the
     model that it is to replace.
 
     - `free`, `prior`: what is refitted and its standard deviations, as in `fit`.
@@ -59,7 +59,7 @@ class Learner:
     learned: float = 15.0
     judged: float = 5.0
     piece: float = 2.5
-    max_steps: int = 15
+    max_steps: int = 40
 
     def __post_init__(self):
         if not (self.learned >= 2 * self.piece > 0 and self.judged > 0):
@@ -89,7 +89,8 @@ class Learner:
         )
         start = _state_at(before.vehicle, recent, newest.t[0])
         errors = tuple(
-            prediction_error(vehicle, newest, start, self.noise) for vehicle in (before.vehicle, result.vehicle)
+            prediction_error(vehicle, newest, start, self.noise)
+            for vehicle in (before.vehicle, result.vehicle)
         )
         velocities = smooth_states(recent, before.vehicle.dof).nu
         verdict = _judged(errors, dissipates(result.vehicle, jnp.asarray(velocities)))
@@ -107,7 +108,7 @@ def _judged(errors: tuple[float, ...], dissipative: bool) -> str:
 
 
 def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, "18"]) -> float:
-    """Root-mean-square difference of one roll-out over the log to what was measured, in units of the noise."""
+    """Root-mean-square difference of a roll-out to what was measured, in units of the noise."""
     off = np.asarray(simulate(vehicle, log, start).channels) - log.channels
     off[:, _ANGLES] = np.angle(np.exp(1j * off[:, _ANGLES]))
     scaled = off / noise
