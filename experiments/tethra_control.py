@@ -48,7 +48,8 @@ GUESS_QUADRATIC = np.diag([60.0, 60.0, 60.0, 15.0, 15.0, 15.0])
 # up to 0.1 % of some 0.3 m/s, accelerations by up to 0.5 m/s² and 0.05 rad/s² (sec. 5.3.1, uniform).
 NOISE = np.array([np.nan] * 3 + [1e-4] * 3 + [1.7e-4] * 3 + [1e-4] * 3 + [0.29] * 3 + [0.029] * 3)
 WIDTH = 3.0  # of the prior of a weight, whose inputs and outputs are scaled
-PIECE = 2.5  # [s] of each window with an initial state of its own
+# Windows with an initial state of their own [s]: of the log that is identified from, and under way.
+STRETCH, PIECE = 10.0, 2.5
 
 # Case III. A torpedo below the frame, neutral in water: 60 kg that displace their own weight.
 SONAR = {"mass": 60.0, "volume": 60.0 / 1025.0, "x": 0.1, "y": 0.0, "z": 0.1}
@@ -140,7 +141,7 @@ def grey_box(start: jm.Vehicle, log: jm.Log, loss: Literal["trajectory", "one_st
     """M, all of D_l and the diagonal of D_q, by trajectories or by maximum likelihood of accelerations."""
     anything = np.full((6, 6), np.inf)
     prior = (anything, anything, np.where(np.eye(6) > 0, np.inf, 0.0))
-    fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=PIECE, noise=NOISE, throw=False)
+    fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=NOISE, throw=False)
     return fit.vehicle
 
 
@@ -158,7 +159,7 @@ def network(mass: jm.Vehicle, start: jm.Vehicle, log: jm.Log, seed: int) -> jm.V
     begun = eqx.tree_at(lambda v: v.added_mass, start, mass.added_mass).place(jm.Placed(term))
     prior = jax.tree.map(lambda w: np.full(w.shape, WIDTH), weights(begun))
     return jm.fit(
-        begun, log, weights, prior=prior, window=PIECE, noise=NOISE, max_steps=40, throw=False
+        begun, log, weights, prior=prior, window=STRETCH, noise=NOISE, max_steps=40, throw=False
     ).vehicle
 
 

@@ -42,10 +42,13 @@ class Learner:
     """Refits a model to a sliding window; the update is taken only where it predicts better.
 
     Four things keep it from running away. The window forgets what is old. The prior of every refit
-    stands at the last good model, so that what the window does not excite stays. Damping matrices
-    stay dissipative, and an update that gives energy to the hull at a velocity of the window is refused.
-    The newest part of the window is not learned from: there the update has to predict better than the
-    model that it is to replace.
+    stands at the last good model, so that what the window does not excite stays. An update is refused that
+    gives energy to the hull at a velocity of the window. The newest part of the window is not learned from:
+    there the update has to predict better than the model that it is to replace.
+
+    Damping is refitted without the triangular factor that would keep it dissipative everywhere: in the
+    matrices themselves the problem is nearly linear and solved in a few steps, in the factor it is not in
+    forty (measured: velocity errors 16 times larger half a minute after a change).
 
     - `free`, `prior`: what is refitted and its standard deviations, as in `fit`.
     - `noise`: standard deviation per channel, NaN for those not to use.
@@ -81,30 +84,27 @@ class Learner:
             past,
             self.free,
             prior=self.prior,
-            dissipative=True,
             window=self.piece,
             noise=self.noise,
             max_steps=self.max_steps,
             throw=False,
         )
+        if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(result.vehicle)):
+            return Learned(before.vehicle, recent, "rejected: its fit diverged")
         start = _state_at(before.vehicle, recent, newest.t[0])
-        errors = tuple(
+        old, new = (
             prediction_error(vehicle, newest, start, self.noise)
             for vehicle in (before.vehicle, result.vehicle)
         )
         velocities = smooth_states(recent, before.vehicle.dof).nu
-        verdict = _judged(errors, dissipates(result.vehicle, jnp.asarray(velocities)))
-        kept = result.vehicle if verdict == "accepted" else before.vehicle
-        return Learned(kept, recent, verdict, errors)
-
-
-def _judged(errors: tuple[float, ...], dissipative: bool) -> str:
-    old, new = errors
-    if not np.isfinite(new):
-        return "rejected: its simulation diverges"
-    if not dissipative:
-        return "rejected: its damping gives energy to the hull"
-    return "accepted" if new < old else "rejected: it predicts worse"
+        if not dissipates(result.vehicle, jnp.asarray(velocities)):
+            return Learned(
+                before.vehicle, recent, "rejected: its damping gives energy to the hull", (old, new)
+            )
+        # A prediction that diverges is NaN, which is not less.
+        if not new < old:
+            return Learned(before.vehicle, recent, "rejected: it predicts worse", (old, new))
+        return Learned(result.vehicle, recent, "accepted", (old, new))
 
 
 def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, "18"]) -> float:
