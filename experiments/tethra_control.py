@@ -55,7 +55,7 @@ STRETCH, PIECE = 10.0, 2.5
 SONAR = {"mass": 60.0, "volume": 60.0 / 1025.0, "x": 0.1, "y": 0.0, "z": 0.1}
 # By how much it multiplies damping per axis ("parameters changing up to a factor 10").
 DRAG = np.array([3.0, 10.0, 10.0, 2.0, 6.0, 6.0])
-EVERY = 5.0  # [s] between updates
+EVERY = 10.0  # [s] between updates
 SETTLED = 30.0  # [s] after the change from which the velocity is judged
 
 # Feedback: as stiff as leaves two samples' delay harmless; in a current that nobody told the controller of.
