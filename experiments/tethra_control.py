@@ -55,7 +55,7 @@ STRETCH, PIECE = 10.0, 2.5
 SONAR = {"mass": 60.0, "volume": 60.0 / 1025.0, "x": 0.1, "y": 0.0, "z": 0.1}
 # By how much it multiplies damping per axis ("parameters changing up to a factor 10").
 DRAG = np.array([3.0, 10.0, 10.0, 2.0, 6.0, 6.0])
-EVERY = 10.0  # [s] between updates
+EVERY = 5.0  # [s] between updates
 SETTLED = 30.0  # [s] after the change from which the velocity is judged
 
 # Feedback: as stiff as leaves two samples' delay harmless; in a current that nobody told the controller of.
@@ -480,7 +480,7 @@ FIGURES = {
         "Exact model, and all parameters 10 % larger",
         [("I", "exact model"), ("I", "all parameters +10 %")],
     ),
-    "5.9": ("Case I: identified from ideal data", [("I", TRAJECTORY), ("I", NETWORK)]),
+    "5.9": ("Case I: identified from ideal data", [("I", ML), ("I", NETWORK), ("I", TRAJECTORY)]),
     "5.10": ("Case II: identified from noisy data", [("II", ML), ("II", NETWORK), ("II", TRAJECTORY)]),
     "5.11": (
         "Case II: updated under way",
