@@ -23,12 +23,14 @@ class Learned:
     """What a learner knows at one time.
 
     - `vehicle`: the last good model. `recent`: the newest of the log, at most a window long.
+    - `taken`: how many updates have been taken.
     - `verdict`: what became of the last update, in words; `errors`: root-mean-square prediction error
       in units of the noise, of the model before it and of the update.
     """
 
     vehicle: Vehicle
     recent: Log | None = None
+    taken: int = 0
     verdict: str = "nothing learned yet"
     errors: tuple[float, float] = (np.nan, np.nan)
 
@@ -50,19 +52,22 @@ class Learner:
     matrices themselves the problem is nearly linear and solved in a few steps, in the factor it is not in
     forty (measured: velocity errors 16 times larger half a minute after a change).
 
-    - `free`, `prior`: what is refitted and its standard deviations, as in `fit`.
+    - `free`, `prior`: what is refitted and its standard deviations, as in `fit`; `tightened`: their share
+      that is left once an update has been taken. What the first window told of speeds that later ones do
+      not have is then kept. A change that is known of begins anew with `Learned(vehicle)`.
     - `noise`: standard deviation per channel, NaN for those not to use.
     - `learned`, `judged` [s]: lengths of the part that is learned from, and of the newest, which judges.
     - `piece` [s]: windows into which the first is cut, each with an initial state of its own.
     """
 
     free: Select
-    prior: float | PyTree
+    prior: PyTree
     noise: Float[np.ndarray, "18"]
     learned: float = 15.0
     judged: float = 5.0
     piece: float = 2.5
     max_steps: int = 40
+    tightened: float = 0.1
 
     def __post_init__(self):
         if not (self.learned >= 2 * self.piece > 0 and self.judged > 0):
@@ -79,32 +84,41 @@ class Learner:
         half = 0.5 * recent.dt
         recent = recent.between(end - self.learned - self.judged - half, np.inf)
         past, newest = recent.split(end - self.judged - half)
-        result = fit(
-            before.vehicle,
-            past,
-            self.free,
-            prior=self.prior,
-            window=self.piece,
-            noise=self.noise,
-            max_steps=self.max_steps,
-            throw=False,
-        )
-        if not all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(result.vehicle)):
-            return Learned(before.vehicle, recent, "rejected: its fit diverged")
+        candidate = self._refitted(before, past)
+        if candidate is None:
+            return dataclasses.replace(before, recent=recent, verdict="rejected: its fit diverged")
         start = _state_at(before.vehicle, recent, newest.t[0])
         old, new = (
-            prediction_error(vehicle, newest, start, self.noise)
-            for vehicle in (before.vehicle, result.vehicle)
+            prediction_error(vehicle, newest, start, self.noise) for vehicle in (before.vehicle, candidate)
         )
         velocities = smooth_states(recent, before.vehicle.dof).nu
-        if not dissipates(result.vehicle, jnp.asarray(velocities)):
-            return Learned(
-                before.vehicle, recent, "rejected: its damping gives energy to the hull", (old, new)
-            )
+        after = dataclasses.replace(before, recent=recent, errors=(old, new))
+        if not dissipates(candidate, jnp.asarray(velocities)):
+            return dataclasses.replace(after, verdict="rejected: its damping gives energy to the hull")
         # A prediction that diverges is NaN, which is not less.
         if not new < old:
-            return Learned(before.vehicle, recent, "rejected: it predicts worse", (old, new))
-        return Learned(result.vehicle, recent, "accepted", (old, new))
+            return dataclasses.replace(after, verdict="rejected: it predicts worse")
+        return Learned(candidate, recent, before.taken + 1, "accepted", (old, new))
+
+    def _refitted(self, before: Learned, past: Log) -> Vehicle | None:
+        """The last good model fitted to the past; None where that cannot be."""
+        share = self.tightened if before.taken else 1.0
+        try:
+            vehicle = fit(
+                before.vehicle,
+                past,
+                self.free,
+                prior=jax.tree.map(lambda std: share * std, self.prior),
+                window=self.piece,
+                noise=self.noise,
+                max_steps=self.max_steps,
+                throw=False,
+            ).vehicle
+        except np.linalg.LinAlgError:
+            # Where the roll-outs diverge from the start the information is singular: nothing to go by.
+            return None
+        finite = all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(vehicle))
+        return vehicle if finite else None
 
 
 def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, "18"]) -> float:
