@@ -6,6 +6,7 @@
 Double precision is needed: call `jax.config.update("jax_enable_x64", True)` first.
 """
 
+from . import control as control
 from . import effects as effects
 from ._errors import InputError as InputError
 from .diagnosis import Diagnosis as Diagnosis
@@ -49,6 +50,9 @@ from .vehicle import (
 )
 from .vehicle import (
     Vehicle as Vehicle,
+)
+from .vehicle import (
+    allocate as allocate,
 )
 from .vehicle import (
     forward_dynamics as forward_dynamics,

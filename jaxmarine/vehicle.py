@@ -368,3 +368,23 @@ def inverse_dynamics(
     count = len(vehicle.thruster_names)
     nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float), slide=slide)
     return vehicle.plant().balance(state, nu_dot, nothing)
+
+
+def allocate(
+    vehicle: Vehicle, wrench: Float[Array, "*times 6"], dof: Sequence[str] | None = None
+) -> Float[Array, "*times thrusters"]:
+    """Commands with which the thrusters of the file's sections together give a wrench, where they can.
+
+    - `wrench`: wanted at `o`, body axes [N, N m].
+    - `dof`: the axes on which it is asked for, default all free ones; on the others it comes out as it does.
+
+    The least thrusts in the sense of least squares, by the pseudo-inverse, as commands clipped to the
+    vehicle's limits; neither delay, lag nor curve are made up for. Fossen (2021), sec. 11.2.
+    """
+    names = vehicle.dof if dof is None else dof
+    rows = np.array([DOFS.index(name) for name in names])
+    units = vehicle.thrusters.max_thrust
+    effect = vehicle.plant().allocation[rows] * units[None]
+    commands = wrench[..., rows] @ jnp.linalg.pinv(effect).T
+    limits = jnp.broadcast_to(vehicle.command_limits, commands.shape)
+    return jnp.clip(commands, -limits, limits)

@@ -1,0 +1,599 @@
+"""The thesis' control study: Tethra on a spiral dive by feedforward, and with feedback (sec. 5.3, ch. 3).
+
+usage: python -m experiments.tethra_control --out DIR [--seeds 5] [--quick]
+
+Case I identifies from ideal data, case II from noisy data. Case III mounts a 60 kg sonar under way, which
+changes the damping, and learns it while the craft dives. The last table has feedback too, in current and
+noise. Writes results.json, results.md and figures 5.7 to 5.13.
+"""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from jaxtyping import Array, Float
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+import jaxmarine as jm
+from experiments.thesis import plant
+from jaxmarine import control
+from jaxmarine._types import DOFS
+from jaxmarine.effects import Payload, SteadyCurrent
+from jaxmarine.networks import mlp_damping
+
+DT = plant.DT
+# The text's depths, 0.3 m to 2 m; the caption of fig. 5.7 says 1.5 m to 3.5 m. Nothing in the model depends
+# on depth. Radius, speed and length are not stated: four turns within the pool.
+RADIUS, SPEED, DEPTHS, RAMP = 2.0, 0.3, (0.3, 2.0), 10.0  # [m], [m/s], [m], [s]
+
+# What a fit starts from: mass 20 % and inertia 30 % too large, damping 30 % to 50 % too small.
+GUESS_MASS = np.diag([277.0, 277.0, 277.0, 68.0, 65.0, 69.0])
+GUESS_LINEAR = np.diag([80.0, 80.0, 80.0, 15.0, 15.0, 15.0])
+GUESS_QUADRATIC = np.diag([60.0, 60.0, 60.0, 15.0, 15.0, 15.0])
+
+# Deviations by which a fit weighs what is measured: attitude exact but for rounding, velocities off by
+# up to 0.1 % of some 0.3 m/s, accelerations by up to 0.5 m/s² and 0.05 rad/s² (sec. 5.3.1, uniform).
+NOISE = np.array([np.nan] * 3 + [1e-4] * 3 + [1.7e-4] * 3 + [1e-4] * 3 + [0.29] * 3 + [0.029] * 3)
+WIDTH = 3.0  # of the prior of a weight, whose inputs and outputs are scaled
+# Windows with an initial state of their own [s]: of the log that is identified from, and under way.
+STRETCH, PIECE = 10.0, 2.5
+
+# Case III. A torpedo below the frame, neutral in water: 60 kg that displace their own weight.
+SONAR = {"mass": 60.0, "volume": 60.0 / 1025.0, "x": 0.1, "y": 0.0, "z": 0.1}
+# By how much it multiplies damping per axis ("parameters changing up to a factor 10").
+DRAG = np.array([3.0, 10.0, 10.0, 2.0, 6.0, 6.0])
+EVERY = 5.0  # [s] between updates
+SETTLED = 30.0  # [s] after the change from which the velocity is judged
+
+# Feedback: as stiff as leaves two samples' delay harmless; in a current that nobody told the controller of.
+FREQUENCY, CURRENT = 1.0, 0.1  # [rad/s], [m/s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Size:
+    """How much of everything: data to identify from [s], the dive [s] and when the sonar is mounted [s]."""
+
+    data: float
+    network_data: float
+    dive: float
+    change: float
+    networks: bool
+
+
+FULL = Size(data=1000.0, network_data=400.0, dive=180.0, change=60.0, networks=True)
+QUICK = Size(data=60.0, network_data=60.0, dive=60.0, change=20.0, networks=False)
+
+ML, TRAJECTORY, NETWORK = "grey box, acceleration ML", "grey box, trajectory loss", "network"
+REFERENCE = "reference"
+Errors = dict[str, Any]
+
+
+# --- vehicles -------------------------------------------------------------------------------------
+
+
+def tethra() -> jm.Vehicle:
+    """The plant, with a place for the sonar that holds nothing yet."""
+    craft = plant.tethra()
+    return craft.place(jm.Placed(Payload.neutral(craft)))
+
+
+def _sonar(vehicle: jm.Vehicle) -> Any:
+    return next(p.effect for p in vehicle.placed if isinstance(p.effect, Payload))
+
+
+def mounted(vehicle: jm.Vehicle) -> jm.Vehicle:
+    """With the sonar's mass and displacement, which the controller is told of; damping as before."""
+    return eqx.tree_at(_sonar, vehicle, Payload(**{name: jnp.asarray(x) for name, x in SONAR.items()}))
+
+
+def dragging(vehicle: jm.Vehicle) -> jm.Vehicle:
+    """With the sonar's damping, which nobody is told of: coupling grows with what it couples."""
+    root = np.sqrt(np.outer(DRAG, DRAG))
+    return eqx.tree_at(
+        lambda v: (v.damping.linear, v.damping.quadratic),
+        vehicle,
+        (root * vehicle.damping.linear, DRAG[:, None] * vehicle.damping.quadratic),
+    )
+
+
+def dynamics(vehicle: jm.Vehicle) -> Any:
+    """What is identified: mass (C follows from it), linear and quadratic damping."""
+    return vehicle.added_mass, vehicle.damping.linear, vehicle.damping.quadratic
+
+
+def drag(vehicle: jm.Vehicle) -> Any:
+    """What is learned under way."""
+    return vehicle.damping.linear, vehicle.damping.quadratic
+
+
+def guess(vehicle: jm.Vehicle) -> jm.Vehicle:
+    """The craft as known before any data: rough mass and damping, without any coupling."""
+    values = (GUESS_MASS - np.asarray(vehicle.body.matrix), GUESS_LINEAR, GUESS_QUADRATIC)
+    return eqx.tree_at(dynamics, vehicle, tuple(jnp.asarray(value) for value in values))
+
+
+def enlarged(vehicle: jm.Vehicle, share: float) -> jm.Vehicle:
+    """All parameters of M, C and D larger by a share, as in fig. 5.8."""
+    added = (1 + share) * vehicle.mass_matrix - vehicle.body.matrix
+    rest = [(1 + share) * matrix for matrix in dynamics(vehicle)[1:]]
+    return eqx.tree_at(dynamics, vehicle, (added, *rest))
+
+
+# --- identification -------------------------------------------------------------------------------
+
+_SIZE = np.diag(GUESS_LINEAR)
+
+
+def grey_box(start: jm.Vehicle, log: jm.Log, loss: Literal["trajectory", "one_step"]) -> jm.Vehicle:
+    """M, all of D_l and the diagonal of D_q, by trajectories or by maximum likelihood of accelerations."""
+    anything = np.full((6, 6), np.inf)
+    prior = (anything, anything, np.where(np.eye(6) > 0, np.inf, 0.0))
+    fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=NOISE, throw=False)
+    return fit.vehicle
+
+
+def weights(vehicle: jm.Vehicle) -> Any:
+    """The weights of the damping network."""
+    layers = vehicle.placed[-1].effect.network.layers  # type: ignore[attr-defined]
+    return [layer.weight for layer in layers], [layer.bias for layer in layers[:-1]]
+
+
+def network(mass: jm.Vehicle, start: jm.Vehicle, log: jm.Log, seed: int) -> jm.Vehicle:
+    """The mass of one vehicle with the damping of the start, and a network that learns what that lacks."""
+    speed = np.abs(log.channels[:, 6:12]).max(axis=0)
+    force = np.diag(GUESS_LINEAR) * speed
+    term = mlp_damping(DOFS, speed, force, jax.random.key(seed), width=8)
+    begun = eqx.tree_at(lambda v: v.added_mass, start, mass.added_mass).place(jm.Placed(term))
+    prior = jax.tree.map(lambda w: np.full(w.shape, WIDTH), weights(begun))
+    return jm.fit(
+        begun, log, weights, prior=prior, window=STRETCH, noise=NOISE, max_steps=40, throw=False
+    ).vehicle
+
+
+# --- runs -----------------------------------------------------------------------------------------
+
+
+def dive(size: Size) -> control.Path:
+    """The spiral of fig. 5.7."""
+    return control.spiral(RADIUS, SPEED, DEPTHS, size.dive, RAMP)
+
+
+def times(path: control.Path) -> Float[np.ndarray, " times"]:
+    return np.arange(round(path.duration / DT)) * DT
+
+
+def at_rest(reference: control.Reference) -> jm.State:
+    """The state in which the reference begins."""
+    return jax.tree.map(lambda a: a[0], reference.states)
+
+
+def wrench_for(model: jm.Vehicle, path: control.Path, t: Float[np.ndarray, " times"]) -> Array:
+    """Feedforward for holds that begin at t."""
+    return control.feedforward(model, path.at(t + DT / 2))
+
+
+def followed(truth: jm.Vehicle, model: jm.Vehicle, path: control.Path) -> control.Run:
+    """The craft on the path, by the model's feedforward alone."""
+    t = times(path)
+    reference = path.at(t)
+    return control.follow(truth, reference, wrench_for(model, path, t), at_rest(reference))
+
+
+def through_thrusters(truth: jm.Vehicle, path: control.Path) -> jm.Trajectory:
+    """The same with the exact model through the four thrusters: delay, lag, no thrust in sway and pitch."""
+    t = times(path)
+    reference = path.at(t)
+    commands = jm.allocate(truth, wrench_for(truth, path, t), plant.STICKS)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), np.asarray(commands), None, truth.thruster_names, "dive")
+    return jm.simulate(truth, log, at_rest(reference))
+
+
+def measured(run: control.Run, craft: jm.Vehicle, seed: int) -> jm.Log:
+    """A run as the text's sensors show it."""
+    t = np.asarray(run.trajectory.t)
+    log = jm.Log(
+        t, np.array(run.trajectory.channels), None, np.array(run.wrench), craft.thruster_names, "dive"
+    )
+    return plant.noisy(log, "text", seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class Dive:
+    """A dive under learning: what the craft did, and the verdict on each update with its time [s]."""
+
+    trajectory: jm.Trajectory
+    verdicts: tuple[tuple[float, str], ...]
+
+
+def learning(
+    truth: jm.Vehicle,
+    model: jm.Vehicle,
+    learner: control.Learner | None,
+    path: control.Path,
+    change: float,
+    seed: int,
+) -> Dive:
+    """The dive in stretches, with the sonar mounted at `change` [s]; without a learner the model is stale.
+
+    Mass and displacement of the sonar are known from the change on, and what was learned about the craft
+    before it is kept as the prior, while the window begins anew.
+    """
+    known = control.Learned(model)
+    state = at_rest(path.at(np.zeros(1)))
+    count = round(EVERY / DT)
+    parts, verdicts = [], []
+    for k in range(round(path.duration / EVERY)):
+        t = (k * count + np.arange(count + 1)) * DT
+        if abs(t[0] - change) < DT / 2:
+            truth = dragging(mounted(truth))
+            known = control.Learned(mounted(known.vehicle))
+        run = control.follow(truth, path.at(t), wrench_for(known.vehicle, path, t), state)
+        state = jax.tree.map(lambda a: a[-1], run.trajectory.states)
+        run = jax.tree.map(lambda a: a[:-1], run)
+        parts.append(run.trajectory)
+        if learner is not None:
+            known = learner.update(known, measured(run, truth, 1000 * seed + k))
+            verdicts.append((float(t[-1]), known.verdict))
+    return Dive(jax.tree.map(lambda *a: jnp.concatenate(a), *parts), tuple(verdicts))
+
+
+def grey_learner() -> control.Learner:
+    """Damping may grow to several times its size; coupling is held closer to what is known."""
+    linear = np.sqrt(np.outer(_SIZE, _SIZE)) * np.where(np.eye(6) > 0, 5.0, 1.0)
+    return control.Learner(drag, (linear, 5.0 * GUESS_QUADRATIC), NOISE, piece=PIECE)
+
+
+def network_learner(model: jm.Vehicle) -> control.Learner:
+    """Weights stay as free as they were: after its first window a network is far from where it settles."""
+    prior = jax.tree.map(lambda w: np.full(w.shape, WIDTH), weights(model))
+    return control.Learner(weights, prior, NOISE, piece=PIECE, tightened=1.0)
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+def errors(trajectory: jm.Trajectory, path: control.Path, since: float = 0.0) -> Errors:
+    """(5.27) and (5.28) per axis [m], and the rms of the velocity error's length [m/s], from a time on."""
+    t = np.asarray(trajectory.t)
+    later = t >= since - DT / 2
+    reference = path.at(t)
+    off = np.asarray(trajectory.states.position - reference.states.position)[later]
+    slip = np.asarray(trajectory.states.velocity - reference.states.velocity)[later]
+    return {
+        "rms_m": np.sqrt((off**2).mean(axis=0)).tolist(),
+        "max_m": np.abs(off).max(axis=0).tolist(),
+        "velocity_rms": float(np.sqrt((slip[:, :3] ** 2).sum(axis=1).mean())),
+        "rate_rms": float(np.sqrt((slip[:, 3:] ** 2).sum(axis=1).mean())),
+    }
+
+
+def learner_of(name: str, model: jm.Vehicle) -> control.Learner:
+    return network_learner(model) if name == NETWORK else grey_learner()
+
+
+# --- cases ----------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Study:
+    """What the cases share, and what they find: `rows` of errors, and the first seed's dives to draw."""
+
+    truth: jm.Vehicle
+    path: control.Path
+    size: Size
+    rows: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    drawn: dict[tuple[str, str], jm.Trajectory] = dataclasses.field(default_factory=dict)
+    verdicts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+
+    def note(self, case: str, model: str, seed: int, trajectory: jm.Trajectory, since: float = 0.0) -> None:
+        row = {"case": case, "model": model, "seed": seed}
+        self.rows.append(row | errors(trajectory, self.path, since))
+        if seed == 0:
+            self.drawn[case, model] = trajectory
+
+    def note_learning(self, case: str, model: str, seed: int, run: Dive) -> None:
+        self.note(case, model, seed, run.trajectory)
+        self.verdicts += [
+            {"case": case, "model": model, "seed": seed, "t": t, "verdict": verdict}
+            for t, verdict in run.verdicts
+        ]
+
+
+def first(log: jm.Log, duration: float) -> jm.Log:
+    return log.between(log.t[0], log.t[0] + duration)
+
+
+def ideal(study: Study) -> None:
+    """Case I: the exact model, one that is 10 % off, and models identified from ideal data."""
+    truth, size = study.truth, study.size
+    log = plant.dive(truth, size.data, 0)
+    models = {"exact model": truth, "all parameters +10 %": enlarged(truth, 0.1)}
+    models[ML] = grey_box(guess(truth), log, "one_step")
+    if size.networks:
+        models[TRAJECTORY] = grey_box(models[ML], log, "trajectory")
+        models[NETWORK] = network(models[TRAJECTORY], guess(truth), first(log, size.network_data), 0)
+    for name, model in models.items():
+        study.note("I", name, 0, followed(truth, model, study.path).trajectory)
+    study.note("I", "exact model, four thrusters", 0, through_thrusters(truth, study.path))
+
+
+def noisy(study: Study, seed: int) -> dict[str, jm.Vehicle]:
+    """Case II: models identified from the text's noise, as they are and updated under way."""
+    truth, size = study.truth, study.size
+    log = plant.noisy(plant.dive(truth, size.data, seed), "text", seed)
+    models = {ML: grey_box(guess(truth), log, "one_step")}
+    if size.networks:
+        models[TRAJECTORY] = grey_box(models[ML], log, "trajectory")
+        models[NETWORK] = network(models[TRAJECTORY], guess(truth), first(log, size.network_data), seed)
+    for name, model in models.items():
+        study.note("II", name, seed, followed(truth, model, study.path).trajectory)
+    for name in (ML, NETWORK) if size.networks else ():
+        run = learning(truth, models[name], learner_of(name, models[name]), study.path, np.inf, seed)
+        study.note_learning("II", f"{name}, updated under way", seed, run)
+    return models
+
+
+def changed(study: Study, models: dict[str, jm.Vehicle], seed: int) -> None:
+    """Case III: the sonar, with a model whose damping is stale and with one that learns."""
+    size = study.size
+    for name in (TRAJECTORY, NETWORK) if size.networks else (ML,):
+        for learner, words in ((None, "stale"), (learner_of(name, models[name]), "learning")):
+            run = learning(study.truth, models[name], learner, study.path, size.change, seed)
+            study.note_learning("III", f"{name}, {words}", seed, run)
+            late = errors(run.trajectory, study.path, size.change + SETTLED)
+            study.rows.append({"case": "III, late", "model": f"{name}, {words}", "seed": seed, **late})
+
+
+def augmented(study: Study, models: dict[str, jm.Vehicle], seed: int) -> None:
+    """Feedback with and without feedforward, in a current from a random direction and realistic noise."""
+    rng = np.random.default_rng([seed, 3])
+    towards, t = rng.uniform(0.0, 2 * np.pi), times(study.path)
+    flow = [CURRENT * np.cos(towards), CURRENT * np.sin(towards), 0.0]
+    truth = study.truth.place(jm.Placed(SteadyCurrent(*map(jnp.asarray, flow))))
+    noise = np.repeat([plant.REALISTIC[kind] for kind in ("position", "attitude", "velocity", "rate")], 3)
+    seen = jnp.asarray(noise * rng.standard_normal((len(t), 12)))
+    feedback = control.pole_placement(guess(study.truth).mass_matrix, FREQUENCY)
+    reference = study.path.at(t)
+    halfway = study.path.at(t + DT / 2)
+    still = eqx.tree_at(lambda r: (r.states.velocity, r.acceleration), halfway, replace_fn=jnp.zeros_like)
+    wrenches = {
+        "PD": jnp.zeros((len(t), 6)),
+        "PD and restoring forces": control.feedforward(study.truth, still),
+        **{f"PD and {name}": control.feedforward(models[name], halfway) for name in models},
+        "PD and exact model": control.feedforward(study.truth, halfway),
+    }
+    for name, wrench in wrenches.items():
+        run = control.follow(truth, reference, wrench, at_rest(reference), feedback, seen)
+        study.note("augmented", name, seed, run.trajectory)
+
+
+# --- what is written ------------------------------------------------------------------------------
+
+# Tables 5.3 to 5.5: rms and largest error per axis [m]; case I from the text ("less than a millimeter").
+PRINTED = {
+    ("I", NETWORK): ([0.001] * 3, [0.001] * 3),
+    ("II", NETWORK): ([0.29, 0.20, 0.24], [0.61, 0.42, 0.76]),
+    ("II", f"{NETWORK}, updated under way"): ([0.001] * 3, [0.001] * 3),
+    ("III", f"{NETWORK}, stale"): ([1.96, 2.28, 0.35], [4.8, 4.2, 0.60]),
+    ("III", f"{NETWORK}, learning"): ([0.31, 0.25, 0.042], [0.67, 0.77, 0.078]),
+}
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per case and model the median over seeds, and the worst seed's largest rms of an axis and velocity."""
+    out = []
+    for case, model in dict.fromkeys((row["case"], row["model"]) for row in rows):
+        own = [row for row in rows if (row["case"], row["model"]) == (case, model)]
+        middle = {
+            name: np.median([row[name] for row in own], axis=0).tolist()
+            for name in ("rms_m", "max_m", "velocity_rms", "rate_rms")
+        }
+        worst = {
+            "worst_rms_m": max(max(row["rms_m"]) for row in own),
+            "worst_velocity_rms": max(row["velocity_rms"] for row in own),
+        }
+        out.append({"case": case, "model": model, "seeds": len(own), **middle, **worst})
+    return out
+
+
+def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What was to be reached, by the worst seed."""
+    found = {(row["case"], row["model"]): row for row in summary(rows)}
+
+    def of(case: str, model: str, quantity: str) -> float:
+        return found[case, model][quantity]
+
+    out = []
+    for words, case, model, quantity, bound in (
+        ("case I, grey box, rms [m]", "I", TRAJECTORY, "worst_rms_m", 1e-3),
+        ("case II, trajectory loss, rms [m]", "II", TRAJECTORY, "worst_rms_m", 1e-2),
+        ("case II, acceleration ML, rms [m]", "II", ML, "worst_rms_m", 0.3),
+        (
+            "case III, grey box, velocity from 30 s on [m/s]",
+            "III, late",
+            f"{TRAJECTORY}, learning",
+            "worst_velocity_rms",
+            1e-3,
+        ),
+    ):
+        if (case, model) in found:
+            out.append({"target": words, "value": of(case, model, quantity), "bound": bound})
+    both = [
+        [row["velocity_rms"] for row in rows if (row["case"], row["model"]) == ("III, late", model)]
+        for model in (f"{NETWORK}, learning", f"{NETWORK}, stale")
+    ]
+    if both[0]:
+        value = max(new / old for new, old in zip(*both, strict=True))
+        words = "case III, network, velocity as a share of the stale one's"
+        out.append({"target": words, "value": value, "bound": 0.2})
+    return [row | {"met": bool(row["value"] <= row["bound"])} for row in out]
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """Errors per case beside the thesis', and what was to be reached."""
+    lines = [
+        "| case | model | rms x, y, z m | largest x, y, z m | velocity m/s | worst rms m | thesis, rms m |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in results["summary"]:
+        printed = PRINTED.get((row["case"], row["model"]))
+        cells = [
+            row["case"],
+            row["model"],
+            _three(row["rms_m"]),
+            _three(row["max_m"]),
+            f"{row['velocity_rms']:.2g}",
+            f"{row['worst_rms_m']:.2g}",
+            _three(printed[0]) if printed else "",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", "| to be reached, by the worst seed | value | at most | met |", "|---|---|---|---|"]
+    lines += [
+        f"| {row['target']} | {row['value']:.2g} | {row['bound']:g} | {'yes' if row['met'] else 'no'} |"
+        for row in results["targets"]
+    ]
+    updates = results["verdicts"]
+    taken = sum(row["verdict"] == "accepted" for row in updates)
+    offered = sum(not row["verdict"].startswith("the window") for row in updates)
+    return "\n".join([*lines, "", f"Updates under way: {taken} of {offered} accepted.", ""])
+
+
+def _three(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:.2g}" for value in values)
+
+
+FIGURES = {
+    "5.7": ("Reference", []),
+    "5.8": (
+        "Exact model, and all parameters 10 % larger",
+        [("I", "exact model"), ("I", "all parameters +10 %")],
+    ),
+    "5.9": ("Case I: identified from ideal data", [("I", ML), ("I", NETWORK), ("I", TRAJECTORY)]),
+    "5.10": ("Case II: identified from noisy data", [("II", ML), ("II", NETWORK), ("II", TRAJECTORY)]),
+    "5.11": (
+        "Case II: updated under way",
+        [("II", f"{ML}, updated under way"), ("II", f"{NETWORK}, updated under way")],
+    ),
+    "5.12": (
+        "Case III: damping changed, stale",
+        [("III", f"{TRAJECTORY}, stale"), ("III", f"{NETWORK}, stale")],
+    ),
+    "5.13": (
+        "Case III: damping changed, learning",
+        [("III", f"{TRAJECTORY}, learning"), ("III", f"{NETWORK}, learning")],
+    ),
+}
+COLOURS = ("#1f6fb5", "#c2620a", "#3c8d40", "#8a4fb0", "#7d8590", "#b03a48")
+
+
+def figures(study: Study, out: Path) -> None:
+    """Figures 5.7 to 5.13, the velocity errors of case III, and the position errors with feedback."""
+    for number, (title, wanted) in FIGURES.items():
+        there = [key for key in wanted if key in study.drawn]
+        if there or not wanted:
+            saved(_two_views(study, title, there), out / f"figure_{number.replace('.', '_')}")
+    t = times(study.path)
+    reference = study.path.at(t)
+    for case, name, title, unit in (
+        ("III", "case_iii_velocity", "Case III: velocity error", "m/s"),
+        ("augmented", "augmented", "With feedback: position error", "m"),
+    ):
+        figure, ax = plt.subplots(figsize=(8, 4), layout="constrained")
+        keys = [key for key in study.drawn if key[0] == case]
+        for colour, key in zip(COLOURS, keys, strict=False):
+            states = study.drawn[key].states
+            off = (
+                states.velocity[:, :3] - reference.states.velocity[:, :3]
+                if case == "III"
+                else states.position - reference.states.position
+            )
+            ax.semilogy(t[1:], np.linalg.norm(off, axis=1)[1:], color=colour, lw=1.2, label=key[1])
+        if case == "III":
+            ax.axvline(study.size.change, color="black", ls=":", lw=1, label="sonar mounted")
+        ax.set(title=title, xlabel="time [s]", ylabel=f"length of the error [{unit}]")
+        ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        saved(figure, out / name)
+
+
+def _two_views(study: Study, title: str, keys: list[tuple[str, str]]) -> Figure:
+    """Horizontal projection and depth over time: craft solid, reference dotted."""
+    figure, (plan, depth) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
+    t = times(study.path)
+    wanted = np.asarray(study.path.at(t).states.position)
+    for colour, key in zip(COLOURS, keys, strict=False):
+        position = np.asarray(study.drawn[key].states.position)
+        plan.plot(position[:, 1], position[:, 0], color=colour, lw=1.4)
+        depth.plot(t, position[:, 2], color=colour, lw=1.4, label=key[1])
+    plan.plot(wanted[:, 1], wanted[:, 0], color="black", ls=":", lw=1.6)
+    depth.plot(t, wanted[:, 2], color="black", ls=":", lw=1.6, label=REFERENCE)
+    plan.set(xlabel="y, east [m]", ylabel="x, north [m]", aspect="equal")
+    depth.set(xlabel="time [s]", ylabel="depth [m]")
+    depth.invert_yaxis()
+    depth.legend(frameon=False, fontsize=8)
+    figure.suptitle(title)
+    return figure
+
+
+def saved(figure: Figure, path: Path) -> None:
+    for ending in ("png", "svg"):
+        figure.savefig(path.with_name(f"{path.name}.{ending}"), dpi=150)
+    plt.close(figure)
+
+
+def write(study: Study, out: Path) -> None:
+    """Numbers, tables and figures of what there is so far."""
+    results = {
+        "rows": study.rows,
+        "summary": summary(study.rows),
+        "targets": targets(study.rows),
+        "verdicts": study.verdicts,
+    }
+    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
+    (out / "results.md").write_text(markdown(results))
+    figures(study, out)
+
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(help=str(__doc__).splitlines()[0])
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for results and figures.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Operators and noises of the cases with noise.")] = 5,
+    quick: Annotated[
+        bool, typer.Option(help="A minute of data and of diving, one seed, no networks.")
+    ] = False,
+) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    size = QUICK if quick else FULL
+    study = Study(tethra(), dive(size), size)
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("case I")
+        ideal(study)
+        for seed in range(1 if quick else seeds):
+            bar.update(task, description=f"cases II and III, seed {seed}")
+            models = noisy(study, seed)
+            changed(study, models, seed)
+            augmented(study, models, seed)
+            write(study, out)
+    console.print((out / "results.md").read_text(), markup=False)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    app()

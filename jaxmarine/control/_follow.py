@@ -1,0 +1,105 @@
+"""A vehicle under control, sample by sample: a wrench known beforehand, and feedback of what is measured."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Matrix6, Velocity, Wrench
+from ..physics import apply, compose, rotation, small_turn, step_lengths
+from ..simulation import Trajectory, hold, substeps
+from ..vehicle import Input, Plant, State, Vehicle
+from ._path import Reference
+
+
+class Feedback(eqx.Module):
+    """Proportional and derivative feedback in body axes: tau = `stiffness` e + `damping` (nu_ref - nu).
+
+    e is the way to the reference [m] and the turn to its attitude [rad], small angle. Fossen (2021),
+    sec. 15.3 (PD control of position and attitude).
+    """
+
+    stiffness: Matrix6
+    damping: Matrix6
+
+    def __call__(self, wanted: State, seen: State) -> Wrench:
+        return apply(self.stiffness, _off(wanted, seen)) + apply(
+            self.damping, wanted.velocity - seen.velocity
+        )
+
+
+def _off(wanted: State, seen: State) -> Velocity:
+    """Way and turn from the state that is seen to the one that is wanted, body axes [m, rad]."""
+    back = seen.attitude * jnp.array([1.0, -1.0, -1.0, -1.0])
+    turn = compose(back, wanted.attitude)
+    # q and -q are one attitude: take the shorter turn.
+    turn = 2.0 * jnp.where(turn[0] < 0, -turn[1:], turn[1:])
+    return jnp.concatenate([apply(rotation(seen.attitude).T, wanted.position - seen.position), turn])
+
+
+def pole_placement(mass: Matrix6, frequency: float, ratio: float = 1.0) -> Feedback:
+    """Gains with which mass alone would answer at `frequency` [rad/s] and damping `ratio` [1].
+
+    e'' + 2 ratio frequency e' + frequency² e = 0; Fossen (2021), algorithm 15.1.
+    """
+    return Feedback(frequency**2 * mass, 2.0 * ratio * frequency * mass)
+
+
+class Run(eqx.Module):
+    """What a vehicle did under control, and the `wrench` that was applied over each hold [N, N m]."""
+
+    trajectory: Trajectory
+    wrench: Float[Array, "times 6"]
+
+
+def follow(
+    vehicle: Vehicle,
+    reference: Reference,
+    wrench: Float[Array, "times 6"],
+    start: State,
+    feedback: Feedback | None = None,
+    errors: Float[Array, "times 12"] | None = None,
+) -> Run:
+    """Lets the vehicle go under `wrench`, held over each sample, plus feedback of the measured state.
+
+    - `reference`: at the samples, where the state is measured. `start`: the state at the first.
+    - `feedback`: None leaves the wrench alone.
+    - `errors`: what the sensors add to position [m], attitude (a small turn in body axes) [rad] and
+      velocity [m/s, rad/s] at each sample.
+    """
+    if wrench.shape != (len(reference.t), 6):
+        raise ValueError(f"Argument `wrench` must be ({len(reference.t)}, 6), but is {wrench.shape}.")
+    dt = float(step_lengths(reference.t).max())
+    errors = jnp.zeros((len(reference.t), 12)) if errors is None else errors
+    return _run(vehicle, reference, wrench, start, feedback, errors, substeps(vehicle, dt))
+
+
+@eqx.filter_jit
+def _run(vehicle: Vehicle, reference: Reference, wrench, start, feedback, errors, split: int) -> Run:
+    plant = vehicle.plant()
+
+    def step(state: State, now):
+        t, dt, wanted, tau, error = now
+        if feedback is not None:
+            tau = tau + feedback(wanted, _measured(state, error))
+        drive = _of_wrench(plant, t, tau)
+        shown = plant.readings(state, plant.acceleration(state, drive))
+        return hold(plant, state, drive, dt, split), (state, shown, tau)
+
+    over = (reference.t, step_lengths(reference.t), reference.states, wrench, errors)
+    _, (states, channels, applied) = jax.lax.scan(step, start, over)
+    return Run(Trajectory(reference.t, channels, states), applied)
+
+
+def _measured(state: State, error: Float[Array, "12"]) -> State:
+    return State(
+        state.position + error[:3],
+        compose(state.attitude, small_turn(error[3:6])),
+        state.velocity + error[6:],
+        state.memory,
+    )
+
+
+def _of_wrench(plant: Plant, t, tau: Wrench) -> Input:
+    nothing = jnp.zeros(plant.direction.shape[0])
+    return Input(nothing, nothing, tau, t)
