@@ -17,6 +17,7 @@ from ._least_squares import (
     solve_linear as solve_linear,
 )
 from ._levenberg_marquardt import Restarts as Restarts
+from ._levenberg_marquardt import fit_samples as fit_samples
 from ._levenberg_marquardt import levenberg_marquardt as levenberg_marquardt
 from ._linearise import (
     Affine as Affine,
@@ -47,6 +48,15 @@ from ._solver import (
 )
 from ._solver import (
     refine_windows as refine_windows,
+)
+from ._subnets import (
+    NetworkIdentification as NetworkIdentification,
+)
+from ._subnets import (
+    damping_targets as damping_targets,
+)
+from ._subnets import (
+    identify_by_networks as identify_by_networks,
 )
 from ._uncertainty import Combination as Combination
 from ._uncertainty import Parameter as Parameter
