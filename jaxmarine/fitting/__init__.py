@@ -53,6 +53,9 @@ from ._subnets import (
     NetworkIdentification as NetworkIdentification,
 )
 from ._subnets import (
+    damping_matrices as damping_matrices,
+)
+from ._subnets import (
     damping_targets as damping_targets,
 )
 from ._subnets import (

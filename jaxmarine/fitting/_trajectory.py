@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -17,6 +18,9 @@ from ._linearise import Affine, Problem, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
+# Costly windows lie so many robust standard deviations above the median; steps between two judgements,
+# and how many judgements there are at most.
+_COSTLY, _BETWEEN, _JUDGEMENTS = 5.0, 4, 12
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -52,8 +56,12 @@ def fit_trajectory(
     window: float,
     max_steps: int,
     held: bool = False,
+    reject: bool = False,
 ) -> Estimate:
-    """Minimises the chi-square of the windows over z and all initial states, unless those are held."""
+    """Minimises the chi-square of the windows over z and all initial states, unless those are held.
+
+    - `reject`: leaves out costly windows, see `_without_costly`.
+    """
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
     dt = float(np.median([log.dt for log in logs]))
@@ -62,8 +70,10 @@ def fit_trajectory(
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     while True:
         task = _task(freed, units, data, acting, split, held)
-        nothing = jnp.zeros((data.windows.count, 12))
-        refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
+        at, delta = jnp.asarray(z), jnp.zeros((data.windows.count, 12))
+        if reject:
+            task, at, delta = _without_costly(task, at, delta)
+        refined = refine_windows(task, at, delta, max_steps)
         steps += int(refined.steps)
         now = _estimate(freed, units, data, task, refined, steps)
         if not now.finite:
@@ -98,12 +108,40 @@ def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, h
     )
 
 
+def _without_costly(task: Task, z, delta):
+    """The task without the windows that cost far more than the median one, and where to go on from.
+
+    Something acted in them that no parameter stands for: a collision, a snagged cable, a sensor's fault. By
+    turns all windows are judged with z held, and z is refined on those that were found good, until the
+    same ones are; at least half always are. Source: concentration steps of least trimmed squares (Rousseeuw
+    and Van Driessen 2006), with a threshold in place of a fixed share.
+    """
+    full, kept = task, np.ones(len(delta), bool)
+    for _ in range(_JUDGEMENTS):
+        # An empty map holds z, so that the initial states alone are fitted.
+        empty = Affine(full.affine(z), jnp.zeros_like(full.affine.columns), full.affine.acts)
+        held = dataclasses.replace(full, affine=empty)
+        judged = refine_windows(held, jnp.zeros_like(z), delta, _BETWEEN)
+        delta, cost = judged.delta, np.asarray(judged.stats.reduced()[0])
+        middle = np.median(cost)
+        limit = middle + _COSTLY * 1.4826 * np.median(np.abs(cost - middle))
+        before, kept = kept, cost <= limit
+        weight = full.problem.windows.weight * jnp.asarray(kept)[:, None, None]
+        task = eqx.tree_at(lambda t: t.problem.windows.weight, full, weight)
+        if (kept == before).all():
+            break
+        refined = refine_windows(task, z, delta, _BETWEEN)
+        z, delta = refined.z, refined.delta
+    return task, z, delta
+
+
 def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refined, steps: int) -> Estimate:
     chi2, scores, information = refined.stats.reduced()
     # Components of the initial states that the data hold, rather than their weak prior.
     pull = np.asarray(task.problem.start_precision)
     loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
-    samples = int((np.asarray(data.windows.weight) > 0).sum())
+    weight = np.asarray(task.problem.windows.weight)
+    samples = int((weight > 0).sum())
     z = np.asarray(refined.z)
     return Estimate(
         z=z,
@@ -116,6 +154,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refine
         steps=steps,
         converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),
         result=optx.RESULTS[refined.result] or "converged",
+        rejected=data.starts[(weight == 0).all(axis=(1, 2))],
     )
 
 
@@ -131,6 +170,8 @@ def _spurious(task: Task, refined: Refined) -> np.ndarray:
         return there
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
+    # A rejected window says nothing of its initial state.
+    draws *= (np.asarray(task.problem.windows.weight) > 0).any(axis=(1, 2))[:, None]
     moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws))
     both = []
     for sign in (1.0, -1.0):
