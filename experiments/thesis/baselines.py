@@ -1,6 +1,6 @@
 """What the thesis' networks are compared with: its own least squares (sec. 6.1, 6.2.4), and fair ones.
 
-Linear methods take arrays of motion and force; those that fit a vehicle take the log. All return an `Estimate`.
+Linear methods take arrays of motion and force, those that fit a vehicle the log. All give an `Estimate`.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ class Estimate:
 def errors(estimate, model) -> dict[str, float | None]:
     """(6.3), (6.4) and (6.5) in per cent; None where the model has no such element.
 
-    Elements of the diagonal, off it, and those that are zero in the model, these relative to the model's largest.
+    Elements of the diagonal, off it, and those that are zero in the model, relative to the model's largest.
     """
     estimate, model = np.asarray(estimate), np.asarray(model)
     on, there = np.eye(len(model), dtype=bool), model != 0
@@ -95,7 +95,7 @@ def inverse_ls(nu: Motions, nu_dot: Motions, force: Motions) -> Estimate:
 
 
 def two_stage_ls(nu: Motions, nu_dot: Motions, force: Motions) -> Estimate:
-    """Coriolis from the mass of `inverse_ls`, then a symmetric M^-1 with the damping, acceleration on the left.
+    """Coriolis from the mass of `inverse_ls`, then a symmetric M^-1 with the damping, both of nu'.
 
     The damping matrices are those of (4.12) with that mass.
     """
@@ -189,6 +189,4 @@ def acceleration_ml(start: jm.Vehicle, log: jm.Log, noise) -> jm.Fit:
 
 def trajectory(start: jm.Vehicle, log: jm.Log, noise, window: float, reject: bool, steps: int) -> jm.Fit:
     """Maximum likelihood of whole windows of velocities, attitudes and, where measured, positions."""
-    return jm.fit(
-        start, log, free, window=window, noise=noise, reject=reject, max_steps=steps, throw=False
-    )
+    return jm.fit(start, log, free, window=window, noise=noise, reject=reject, max_steps=steps, throw=False)

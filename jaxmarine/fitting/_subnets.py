@@ -195,7 +195,6 @@ def damping_matrices(nu: Motions, wrench: Motions) -> tuple[Matrix6, Matrix6]:
     return rows[:, :6], jnp.diag(rows[:, 6])
 
 
-@eqx.filter_jit
 def mass_of(
     networks: AccelerationNetworks,
     nu: Motions,
@@ -205,9 +204,14 @@ def mass_of(
     pattern: Float[np.ndarray, "6 6"] | None = None,
 ) -> Matrix6:
     """The mass that networks show at the mean velocity under the forces of the log (sec. 4.3.3)."""
+    basis = _basis(symmetric, np.ones((6, 6)) if pattern is None else pattern)
+    return _mass_of(networks, nu, force, intercept, basis)
+
+
+@eqx.filter_jit
+def _mass_of(networks: AccelerationNetworks, nu: Motions, force: Motions, intercept: bool, basis) -> Matrix6:
     still = nu.mean(axis=0)
     shown = jax.vmap(lambda f: networks(still, f))(force)
-    basis = _basis(symmetric, np.ones((6, 6)) if pattern is None else pattern)
     # Rows of one size each: forces and moments are told apart by nothing else.
     columns = jnp.einsum("kij,tj->tik", basis, force)
     if intercept:
