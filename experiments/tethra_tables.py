@@ -8,14 +8,10 @@ Every seed is another dive, other noise and other starts of the networks. What a
 
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-# jaxlib's thread pool can lock up on machines of few cores; one thread does not (and costs nothing here).
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
 
 import jax
 import jax.numpy as jnp

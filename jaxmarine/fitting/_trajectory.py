@@ -116,7 +116,7 @@ def _without_costly(task: Task, z, delta):
     same ones are; at least half always are. Source: concentration steps of least trimmed squares (Rousseeuw
     and Van Driessen 2006), with a threshold in place of a fixed share.
     """
-    full, kept = task, np.ones(len(delta), bool)
+    full, kept = task, np.zeros(len(delta), bool)
     for _ in range(_JUDGEMENTS):
         # An empty map holds z, so that the initial states alone are fitted.
         empty = Affine(full.affine(z), jnp.zeros_like(full.affine.columns), full.affine.acts)
