@@ -8,6 +8,7 @@ import scipy.optimize
 
 from experiments.thesis import baselines
 from jaxmarine.fitting import damping_matrices, damping_targets, fit_samples, identify_by_networks
+from jaxmarine.fitting._subnets import mass_of, train_acceleration
 
 MASS = np.diag([231.0, 231, 231, 52, 50, 53])
 MASS[0, 4] = MASS[4, 0] = -52.0
@@ -51,6 +52,7 @@ def test_one_step_on_a_linear_model_is_least_squares():
     assert float(found.costs[0]) == pytest.approx(0.5 * rest[0], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_curved_residuals_reach_the_minimum_of_scipy():
     rng = np.random.default_rng(1)
     x = np.linspace(0.0, 3.0, 60)
@@ -79,31 +81,34 @@ def test_matrices_are_extracted_exactly(motion):
     assert np.diag(np.asarray(quadratic)) == pytest.approx(QUADRATIC, abs=1e-8)
 
 
-def test_intercept_gives_the_better_mass(motion):
-    """At a mean surge of 0.15 m/s the drag of the mean motion is taken for mass without it."""
+@pytest.fixture(scope="module")
+def trained(motion):
     nu, nu_dot, force, _ = map(jnp.asarray, motion)
-    error = {}
-    for intercept in (True, False):
-        found = identify_by_networks(nu, nu_dot, force, key=jax.random.key(0), intercept=intercept, epochs=30)
-        error[intercept] = baselines.errors(found.mass, MASS)["diagonal"]
+    return train_acceleration(nu, nu_dot, force, jax.random.key(0), 5, 30, 1)[0]
+
+
+def test_intercept_gives_the_better_mass(motion, trained):
+    """At a mean surge of 0.15 m/s the drag of the mean motion is taken for mass without it."""
+    nu, _, force, _ = map(jnp.asarray, motion)
+    error = {
+        intercept: baselines.errors(mass_of(trained, nu, force, intercept), MASS)["diagonal"]
+        for intercept in (True, False)
+    }
     assert error[True] < 0.6 * error[False]
     # Networks of five nodes do not hold the equations of motion better than to some per cent.
     assert error[True] < 10.0
 
 
-def test_structure_of_the_mass_is_kept(motion):
-    nu, nu_dot, force, _ = map(jnp.asarray, motion)
+def test_structure_of_the_mass_is_kept(motion, trained):
+    nu, _, force, _ = map(jnp.asarray, motion)
     pattern = (MASS != 0).astype(float)
-    found = identify_by_networks(
-        nu, nu_dot, force, key=jax.random.key(0), symmetric=True, pattern=pattern, epochs=10
-    )
-    mass = np.asarray(found.mass)
+    mass = np.asarray(mass_of(trained, nu, force, symmetric=True, pattern=pattern))
     # The inverse of a matrix with blocks has the same blocks, but for rounding.
     assert np.abs(mass[pattern == 0]).max() < 1e-9 * mass.max()
     assert np.abs(mass - mass.T).max() < 1e-9 * mass.max()
 
 
-@pytest.mark.parametrize("form", ["zero_at_rest", "dissipative"])
+@pytest.mark.parametrize("form", ["zero_at_rest", pytest.param("dissipative", marks=pytest.mark.slow)])
 def test_damping_is_as_its_form_says(motion, form):
     """No force at rest; and, where asked for, power taken at every velocity, far outside the data too."""
     nu, nu_dot, force, drag = map(jnp.asarray, motion)
