@@ -133,12 +133,13 @@ def _damping(values) -> tuple[np.ndarray, np.ndarray]:
 @jax.jit
 def _weighted(columns: Float[Array, "times 6 p"], right: Motions) -> Float[Array, " p"]:
     """Least squares over all axes; a second solve weighs each by what the first left of it."""
-    weight = 1.0 / jnp.std(right, axis=0)
-    for _ in range(2):
+
+    def solved(weight):
         rows = (columns * weight[None, :, None]).reshape(-1, columns.shape[-1])
-        found = solve_linear(rows, (right * weight[None]).ravel()).values
-        weight = 1.0 / jnp.std(right - columns @ found, axis=0)
-    return found
+        return solve_linear(rows, (right * weight[None]).ravel()).values
+
+    first = solved(1.0 / jnp.std(right, axis=0))
+    return solved(1.0 / jnp.std(right - columns @ first, axis=0))
 
 
 # --- by a vehicle --------------------------------------------------------------------------------

@@ -18,9 +18,11 @@ from ._linearise import Affine, Problem, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
-# Costly windows lie so many robust standard deviations above the median; steps between two judgements,
-# and how many judgements there are at most.
-_COSTLY, _BETWEEN, _JUDGEMENTS = 5.0, 4, 12
+# Costly windows lie so many robust standard deviations above the median.
+_COSTLY = 5.0
+# Steps between two judgements of the windows; how many judgements keep but the better half, and how many
+# there are at most.
+_BETWEEN, _HALVING, _JUDGEMENTS = 4, 4, 12
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -111,24 +113,26 @@ def _task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, h
 def _without_costly(task: Task, z, delta):
     """The task without the windows that cost far more than the median one, and where to go on from.
 
-    Something acted in them that no parameter stands for: a collision, a snagged cable, a sensor's fault. By
-    turns all windows are judged with z held, and z is refined on those that were found good, until the
-    same ones are; at least half always are. Source: concentration steps of least trimmed squares (Rousseeuw
-    and Van Driessen 2006), with a threshold in place of a fixed share.
+    Something acted in them that no parameter stands for: a collision, a snagged cable, a sensor's fault.
+    By turns all windows are judged with z held, and z is refined on those that were found good. At first
+    these are the better half, because a fit that the bad ones have bent no longer shows them; then all that
+    do not stand out, until the same ones do. Source: concentration steps and reweighting of least trimmed
+    squares (Rousseeuw and Van Driessen 2006, Data Mining and Knowledge Discovery 12, 29-45).
     """
     full, kept = task, np.zeros(len(delta), bool)
-    for _ in range(_JUDGEMENTS):
+    for judgement in range(_JUDGEMENTS):
         # An empty map holds z, so that the initial states alone are fitted.
         empty = Affine(full.affine(z), jnp.zeros_like(full.affine.columns), full.affine.acts)
         held = dataclasses.replace(full, affine=empty)
         judged = refine_windows(held, jnp.zeros_like(z), delta, _BETWEEN)
         delta, cost = judged.delta, np.asarray(judged.stats.reduced()[0])
         middle = np.median(cost)
-        limit = middle + _COSTLY * 1.4826 * np.median(np.abs(cost - middle))
+        scatter = 1.4826 * np.median(np.abs(cost - middle))
+        limit = middle if judgement < _HALVING else middle + _COSTLY * scatter
         before, kept = kept, cost <= limit
         weight = full.problem.windows.weight * jnp.asarray(kept)[:, None, None]
         task = eqx.tree_at(lambda t: t.problem.windows.weight, full, weight)
-        if (kept == before).all():
+        if judgement > _HALVING and (kept == before).all():
             break
         refined = refine_windows(task, z, delta, _BETWEEN)
         z, delta = refined.z, refined.delta
@@ -171,7 +175,8 @@ def _spurious(task: Task, refined: Refined) -> np.ndarray:
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
     # A rejected window says nothing of its initial state.
-    draws *= (np.asarray(task.problem.windows.weight) > 0).any(axis=(1, 2))[:, None]
+    seen = np.asarray(task.problem.windows.weight).max(axis=(1, 2)) > 0
+    draws *= seen[:, None]
     moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws))
     both = []
     for sign in (1.0, -1.0):
