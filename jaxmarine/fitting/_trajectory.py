@@ -20,9 +20,10 @@ from ._windows import Cut, cut
 
 # Costly windows lie so many robust standard deviations above the median.
 _COSTLY = 5.0
-# Steps between two judgements of the windows; how many judgements keep but the better half, and how many
-# there are at most.
-_BETWEEN, _HALVING, _JUDGEMENTS = 4, 4, 12
+# Steps of the initial states in a judgement of the windows, and of everything between two of them: from far
+# off the first ten may go into finding the damping. How many judgements keep but the better half, and how
+# many there are at most.
+_JUDGING, _BETWEEN, _HALVING, _JUDGEMENTS = 4, 16, 4, 12
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -124,7 +125,7 @@ def _without_costly(task: Task, z, delta):
         # An empty map holds z, so that the initial states alone are fitted.
         empty = Affine(full.affine(z), jnp.zeros_like(full.affine.columns), full.affine.acts)
         held = dataclasses.replace(full, affine=empty)
-        judged = refine_windows(held, jnp.zeros_like(z), delta, _BETWEEN)
+        judged = refine_windows(held, jnp.zeros_like(z), delta, _JUDGING)
         delta, cost = judged.delta, np.asarray(judged.stats.reduced()[0])
         middle = np.median(cost)
         scatter = 1.4826 * np.median(np.abs(cost - middle))
