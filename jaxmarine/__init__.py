@@ -23,10 +23,16 @@ from .fitting import (
     FitError as FitError,
 )
 from .fitting import (
+    NetworkIdentification as NetworkIdentification,
+)
+from .fitting import (
     check as check,
 )
 from .fitting import (
     fit as fit,
+)
+from .fitting import (
+    identify_by_networks as identify_by_networks,
 )
 from .fitting import (
     least_squares as least_squares,

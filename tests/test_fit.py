@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Array, Float
 
-from jaxmarine._types import SENSORS
+from jaxmarine._types import CHANNELS, SENSORS
 from jaxmarine.effects import (
     CATALOGUE,
     ConstantWrench,
@@ -102,6 +102,26 @@ def test_starts_as_measured_recover_without_noise_and_nothing_else_is_taken():
     for starts, loss in (("guessed", "trajectory"), ("measured", "one_step")):
         with pytest.raises(ValueError, match="starts"):
             fit(boat(), log, everything, starts=starts, loss=loss)  # pyright: ignore[reportArgumentType]
+
+
+def test_costly_windows_are_rejected():
+    """A speed sensor that fails in two of ten windows spoils a fit; rejected, they cost some precision."""
+    log = record(boat(), steps(), seed=0)
+    failed = (log.t >= 20.0) & (log.t < 24.0) | (log.t >= 32.0) & (log.t < 36.0)
+    channels = log.channels.copy()
+    u = CHANNELS.index("u")
+    channels[failed, u] += np.where(log.t[failed] % 4.0 < 2.0, 0.3, -0.3)
+    spoilt, start = dataclasses.replace(log, channels=channels), wrong(boat(), 0.4, 2.5, 0.4)
+    found = fit(start, spoilt, everything, entries="nonzero", reject=True)
+    assert found.rejected.tolist() == pytest.approx([20.0, 32.0])
+    assert f"{len(found.rejected)} windows rejected" in str(found)
+    std = np.array([p.std_model for p in found.parameters])
+    # Ten parameters within four standard errors: one false alarm in 1600.
+    assert (np.abs(values(found) - planted(boat())) < 4.0 * std).all()
+    kept = fit(start, spoilt, everything, entries="nonzero", throw=False)
+    assert (np.abs(values(kept) - planted(boat())) > 4.0 * std).any()
+    with pytest.raises(ValueError, match="reject"):
+        fit(boat(), log, everything, loss="one_step", reject=True)
 
 
 def test_nothing_but_the_free_axes_of_the_free_leaves_changes():

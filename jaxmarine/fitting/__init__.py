@@ -38,6 +38,7 @@ from ._least_squares import (
     solve_linear as solve_linear,
 )
 from ._levenberg_marquardt import Restarts as Restarts
+from ._levenberg_marquardt import fit_samples as fit_samples
 from ._levenberg_marquardt import levenberg_marquardt as levenberg_marquardt
 from ._linearise import (
     Affine as Affine,
@@ -68,6 +69,18 @@ from ._solver import (
 )
 from ._solver import (
     refine_windows as refine_windows,
+)
+from ._subnets import (
+    NetworkIdentification as NetworkIdentification,
+)
+from ._subnets import (
+    damping_matrices as damping_matrices,
+)
+from ._subnets import (
+    damping_targets as damping_targets,
+)
+from ._subnets import (
+    identify_by_networks as identify_by_networks,
 )
 from ._trajectory import Segments as Segments
 from ._trajectory import segments as segments

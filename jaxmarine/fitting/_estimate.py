@@ -49,6 +49,7 @@ class Estimate:
     - `spurious` [z, z]: the part of the information that comes from noise in the regressors.
     - `chi2` without prior, and its `freedom`: samples less everything that was fitted.
     - `steps`, `converged`, `result`: how the solve ended, in words.
+    - `rejected`: times at which windows begin that were left out [s].
     """
 
     z: Float[np.ndarray, " z"]
@@ -61,6 +62,7 @@ class Estimate:
     steps: int
     converged: bool
     result: str
+    rejected: Float[np.ndarray, " rejected"] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def finite(self) -> bool:

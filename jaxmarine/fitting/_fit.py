@@ -41,6 +41,7 @@ class Fit:
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `coverage`: the motion that the fit has seen, per free axis.
     - `loss`, `window` [s], `noise` [18]: settings that it was made with.
+    - `rejected`: times at which windows begin that were left out [s, of their log].
     """
 
     vehicle: Vehicle
@@ -54,6 +55,7 @@ class Fit:
     loss: str
     window: float
     noise: Float[np.ndarray, "18"]
+    rejected: Float[np.ndarray, " rejected"]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -89,6 +91,7 @@ def fit(
     prior: float | PyTree | None = None,
     entries: Selection = "all",
     dissipative: bool = False,
+    reject: bool = False,
     window: float = 4.0,
     max_steps: int = 100,
     throw: bool = True,
@@ -113,6 +116,8 @@ def fit(
       A learned network needs one, as its weights are never all determined.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
     - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
+    - `reject`: leaves out windows whose chi-square lies far above the median one (trajectory only), because
+      something acted in them that is not in the model: a collision, a fault. Less than half may be such.
     - `window` [s]: length of the windows, which for one-step are the groups of the sandwich.
     - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle
       states, else estimated from the logs.
@@ -132,12 +137,14 @@ def fit(
         raise ValueError(
             f"Argument `starts` must be estimated, or measured with the trajectory loss, but is {starts!r}."
         )
+    if reject and loss == "one_step":
+        raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
     noise = noise_of(vehicle, logs) if noise is None else noise
     freed, scales = set_free(vehicle, free, prior, entries, dissipative)
     z_units = units(freed, scales)
     if loss == "trajectory":
         held = starts == "measured"
-        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held)
+        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject)
     else:
         estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
     estimate = _judged(estimate, z_units)
@@ -155,6 +162,7 @@ def fit(
         loss=loss,
         window=window,
         noise=noise,
+        rejected=estimate.rejected,
     )
 
 
@@ -223,4 +231,5 @@ def _ending(fit: Fit) -> str:
     return (
         f"{fit.loss} loss, chi-square per degree of freedom {fit.chi2_per_sample:.3g}, "
         f"{fit.steps} steps: {fit.result}"
+        + (f"; {len(fit.rejected)} windows rejected" if len(fit.rejected) else "")
     )

@@ -95,15 +95,20 @@ class Statistics(eqx.Module):
 
     def reduced(self):
         """Chi-square, gradient and information of z with each window's initial state eliminated."""
-        chol = jnp.linalg.cholesky(self.h_xx)
-        solve = jax.vmap(lambda c, b: jax.scipy.linalg.solve_triangular(c, b, lower=True))
-        a = solve(chol, self.h_xz)
-        b = solve(chol, self.g_x[..., None])[..., 0]
-        return (
-            self.chi2 - (b * b).sum(-1),
-            self.g_z - jnp.einsum("wxz,wx->wz", a, b),
-            self.h_zz - jnp.einsum("wxz,wxy->wzy", a, a),
-        )
+        return jax.lax.map(_eliminated, self)
+
+
+def _eliminated(window: Statistics):
+    """`reduced` for one window.
+
+    Window by window, because jaxlib shares a batch of small factorisations out over its thread pool from
+    inside that pool, and waits: two at a time hang a pool of two threads (jaxlib 0.10).
+    """
+    chol = jnp.linalg.cholesky(window.h_xx)
+    right = jnp.concatenate([window.h_xz, window.g_x[:, None]], axis=1)
+    solved = jax.scipy.linalg.solve_triangular(chol, right, lower=True)
+    a, b = solved[:, :-1], solved[:, -1]
+    return window.chi2 - b @ b, window.g_z - b @ a, window.h_zz - a.T @ a
 
 
 def _start(windows: Windows, delta, memory) -> State:

@@ -33,6 +33,12 @@ class Task(eqx.Module):
     mean: Float[Array, " z"]
 
 
+def _solved(system: tuple[Array, Array]) -> Array:
+    """x of a x = b, a positive definite."""
+    a, b = system
+    return jax.scipy.linalg.solve(a, b, assume_a="pos")
+
+
 Unknowns = tuple[Float[Array, " z"], Float[Array, "windows 12"]]
 
 
@@ -110,9 +116,8 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         h = h.sum(0) + jnp.diag(args.precision)
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
         d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
-        d_x = -jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(
-            softened, stats.g_x + stats.h_xz @ d_z
-        )
+        # Window by window, as in `Statistics.reduced`.
+        d_x = -jax.lax.map(_solved, (softened, stats.g_x + stats.h_xz @ d_z))
         # Decrease by the quadratic model itself, which knows no damping.
         bend = jnp.einsum("wx,wxy,wy->", d_x, stats.h_xx, d_x) + d_z @ (
             stats.h_zz.sum(0) @ d_z + args.precision * d_z

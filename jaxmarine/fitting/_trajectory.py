@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -17,6 +18,12 @@ from ._linearise import Affine, Problem, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
+# Costly windows lie so many robust standard deviations above the median.
+_COSTLY = 5.0
+# Steps of the initial states in a judgement of the windows, and of everything between two of them: from far
+# off the first ten may go into finding the damping. How many judgements keep but the better half, and how
+# many there are at most.
+_JUDGING, _BETWEEN, _HALVING, _JUDGEMENTS = 4, 16, 4, 12
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -52,8 +59,12 @@ def fit_trajectory(
     window: float,
     max_steps: int,
     held: bool = False,
+    reject: bool = False,
 ) -> Estimate:
-    """Minimises the chi-square of the windows over z and all initial states, unless those are held."""
+    """Minimises the chi-square of the windows over z and all initial states, unless those are held.
+
+    - `reject`: leaves out costly windows, see `_without_costly`.
+    """
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
     dt = float(np.median([log.dt for log in logs]))
@@ -62,8 +73,10 @@ def fit_trajectory(
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     while True:
         task = window_task(freed, units, data, acting, split, held)
-        nothing = jnp.zeros((data.windows.count, 12))
-        refined = refine_windows(task, jnp.asarray(z), nothing, max_steps)
+        at, delta = jnp.asarray(z), jnp.zeros((data.windows.count, 12))
+        if reject:
+            task, at, delta = _without_costly(task, at, delta)
+        refined = refine_windows(task, at, delta, max_steps)
         steps += int(refined.steps)
         now = _estimate(freed, units, data, task, refined, steps)
         if not now.finite:
@@ -98,12 +111,42 @@ def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: 
     )
 
 
+def _without_costly(task: Task, z, delta):
+    """The task without the windows that cost far more than the median one, and where to go on from.
+
+    Something acted in them that no parameter stands for: a collision, a snagged cable, a sensor's fault.
+    By turns all windows are judged with z held, and z is refined on those that were found good. At first
+    these are the better half, because a fit that the bad ones have bent no longer shows them; then all that
+    do not stand out, until the same ones do. Source: concentration steps and reweighting of least trimmed
+    squares (Rousseeuw and Van Driessen 2006, Data Mining and Knowledge Discovery 12, 29-45).
+    """
+    full, kept = task, np.zeros(len(delta), bool)
+    for judgement in range(_JUDGEMENTS):
+        # An empty map holds z, so that the initial states alone are fitted.
+        empty = Affine(full.affine(z), jnp.zeros_like(full.affine.columns), full.affine.acts)
+        held = dataclasses.replace(full, affine=empty)
+        judged = refine_windows(held, jnp.zeros_like(z), delta, _JUDGING)
+        delta, cost = judged.delta, np.asarray(judged.stats.reduced()[0])
+        middle = np.median(cost)
+        scatter = 1.4826 * np.median(np.abs(cost - middle))
+        limit = middle if judgement < _HALVING else middle + _COSTLY * scatter
+        before, kept = kept, cost <= limit
+        weight = full.problem.windows.weight * jnp.asarray(kept)[:, None, None]
+        task = eqx.tree_at(lambda t: t.problem.windows.weight, full, weight)
+        if judgement > _HALVING and (kept == before).all():
+            break
+        refined = refine_windows(task, z, delta, _BETWEEN)
+        z, delta = refined.z, refined.delta
+    return task, z, delta
+
+
 def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refined, steps: int) -> Estimate:
     chi2, scores, information = refined.stats.reduced()
     # Components of the initial states that the data hold, rather than their weak prior.
     pull = np.asarray(task.problem.start_precision)
     loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
-    samples = int((np.asarray(data.windows.weight) > 0).sum())
+    weight = np.asarray(task.problem.windows.weight)
+    samples = int((weight > 0).sum())
     z = np.asarray(refined.z)
     return Estimate(
         z=z,
@@ -116,6 +159,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refine
         steps=steps,
         converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),
         result=optx.RESULTS[refined.result] or "converged",
+        rejected=data.starts[(weight == 0).all(axis=(1, 2))],
     )
 
 
@@ -131,7 +175,7 @@ def spurious(task: Task, refined: Refined) -> np.ndarray:
         return there
     factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
-    # Windows that only fill up an array have nothing that would hold their draws.
+    # Windows that were rejected, or that only fill up an array, have nothing that would hold their draws.
     used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
     moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used[:, None])
     both = []

@@ -1,0 +1,508 @@
+"""Tables 6.1 to 6.7 of the thesis, redone: its networks against its least squares, and against fair methods.
+
+    python -m experiments.tethra_tables --out DIR [--seeds N] [--quick]
+
+Every seed is another dive, other noise and other starts of the networks. What a seed has given lies in
+`DIR/parts`, so that a run that was cut goes on where it was. Errors are (6.3) to (6.5) in per cent.
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from rich.progress import Progress
+
+import jaxmarine as jm
+from experiments.thesis import baselines, plant
+from experiments.thesis.baselines import Estimate
+from jaxmarine.fitting import damping_matrices, damping_targets
+from jaxmarine.fitting._subnets import mass_of, train_acceleration, train_damping
+from jaxmarine.logs import smooth_states
+
+# The craft's two planes of symmetry but for height: surge goes with pitch, sway with roll.
+PATTERN = np.eye(6) + np.eye(6, k=4) * [0, 0, 0, 0, 1, 0] + np.eye(6, k=-4) * [1, 0, 0, 0, 0, 0]
+PATTERN += np.eye(6, k=2) * [0, 0, 0, 1, 0, 0] + np.eye(6, k=-2) * [0, 1, 0, 0, 0, 0]
+ALL = np.arange(6)
+DRIVEN = np.array([0, 2, 5])  # surge, heave, yaw: table 6.3
+MATRICES = ("M", "D_l", "D_q")
+KINDS = ("diagonal", "off_diagonal", "zero")
+WINDOW = 3.0  # [s]
+
+# Printed errors: method -> matrix -> diagonal, off-diagonal, zero (tables 6.2, 6.3, 6.5, 6.7).
+PRINTED = {
+    "6.2": {
+        "networks": {"M": (10, 9, 6), "D_l": (56, 147, 8), "D_q": (97, None, None)},
+        "LS (6.1)": {"M": (18, 23, 10), "D_l": (281, 2060, 60), "D_q": (723, None, None)},
+    },
+    "6.3": {
+        "networks": {"M": (10, 0, 6), "D_l": (31, 0, 2), "D_q": (20, None, None)},
+        "LS (6.1)": {"M": (18, 0, 6), "D_l": (87, 0, 15), "D_q": (82, None, None)},
+    },
+    "6.5": {
+        "networks": {"M": (8, 8, 4), "D_l": (12, 20, 6), "D_q": (20, None, None)},
+        "LS (6.1)": {"M": (22, 23, 7), "D_l": (173, 1273, 56), "D_q": (62, None, None)},
+    },
+    "6.7": {
+        "networks": {"D_l": (12, 20, 6), "D_q": (20, None, None)},
+        "LS (6.1)": {"D_l": (173, 1273, 55), "D_q": (62, None, None)},
+        "LS_2, mass of the networks": {"D_l": (24, 107, 6), "D_q": (63, None, None)},
+    },
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One kind of data, and which methods beyond the linear ones and the networks it is given to."""
+
+    name: str
+    duration: float  # [s]
+    noise: plant.Noise
+    walls: bool = False
+    variants: bool = False  # networks with other masses
+    fits: tuple[str, ...] = ()
+
+
+FULL = (
+    Case("text, 1000 s", 1000.0, "text", variants=True, fits=("ml", "trajectory", "reduced")),
+    Case("collisions, 1000 s", 1000.0, "text", walls=True, fits=("ml", "trajectory", "rejecting")),
+    Case("realistic, 1000 s", 1000.0, "realistic", fits=("ml", "trajectory")),
+    Case("text, 2000 s", 2000.0, "text"),
+    Case("listing, 1000 s", 1000.0, "listing", fits=("trajectory",)),
+    Case("listing, 2000 s", 2000.0, "listing"),
+)
+QUICK = (
+    Case("text, 1000 s", 60.0, "text", variants=True),
+    Case("collisions, 1000 s", 60.0, "text", walls=True, fits=("rejecting",)),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Data:
+    """A log, and the arrays that methods without a simulation take."""
+
+    log: jm.Log
+    nu: Any
+    nu_dot: Any
+    force: Any
+    noise: np.ndarray
+
+
+def data_of(vehicle: jm.Vehicle, case: Case, seed: int) -> Data:
+    """The measured dive of a seed; noise differs between cases and seeds."""
+    moving = vehicle.place(plant.pool()) if case.walls else vehicle
+    log = plant.noisy(plant.dive(moving, case.duration, seed), case.noise, seed)
+    noise = np.full(18, np.nan)
+    if case.noise == "realistic":
+        # Accelerations are slopes of smoothed velocities; so is the attitude that g is taken from.
+        track = smooth_states(log, vehicle.dof)
+        nu, nu_dot = track.nu, np.gradient(track.nu, log.t, axis=0)
+        channels = log.channels.copy()
+        channels[:, 3:6] = track.attitude
+        force = plant.forces(vehicle, dataclasses.replace(log, channels=channels))
+        noise[:12] = [0.02] * 3 + [0.005] * 3 + [0.01] * 6
+    else:
+        nu, nu_dot = log.channels[:, 6:12], log.channels[:, 12:]
+        force = plant.noisy_forces(plant.forces(vehicle, log), case.noise, seed)
+        share = 1e-3 if case.noise == "text" else 0.1
+        size = np.sqrt((nu**2).mean(axis=0))
+        noise[3:6] = 1e-4  # the attitude is exact: what is left is of the integration
+        noise[6:12] = share * size / np.sqrt(3.0)
+    return Data(log, jnp.asarray(nu), jnp.asarray(nu_dot), jnp.asarray(force), noise)
+
+
+# --- methods -------------------------------------------------------------------------------------
+
+
+def by_networks(data: Data, true, variants: bool, seed: int, epochs: int) -> tuple[dict[str, Estimate], dict]:
+    """The thesis' method, and what becomes of it with other masses; the costs tell failed training."""
+    keys = jax.random.split(jax.random.key(seed))
+    nets, cost = train_acceleration(data.nu, data.nu_dot, data.force, keys[0], 5, epochs, 1)
+    masses = {
+        "networks": mass_of(nets, data.nu, data.force, intercept=False),
+        "networks, intercept": mass_of(nets, data.nu, data.force),
+    }
+    if variants:
+        masses["networks, zeros set (6.6)"] = masses["networks"] * PATTERN
+        masses["networks, symmetric with zeros"] = mass_of(
+            nets, data.nu, data.force, symmetric=True, pattern=PATTERN
+        )
+        masses["networks, true mass"] = true["M"]
+    out, costs = {}, {"acceleration": np.asarray(cost[0]).tolist()}
+    for name, mass in masses.items():
+        targets = damping_targets(jnp.asarray(mass), data.nu, data.nu_dot, data.force)
+        damping, cost = train_damping(data.nu, targets, keys[1], epochs=epochs)
+        linear, quadratic = damping_matrices(data.nu, jax.vmap(damping)(data.nu))
+        known = name.endswith("true mass")
+        out[name] = Estimate(None if known else np.asarray(mass), np.asarray(linear), np.asarray(quadratic))
+        costs[name] = np.asarray(cost[0]).tolist()
+    return out, costs
+
+
+def by_least_squares(data: Data, true, networks: Estimate) -> dict[str, Estimate]:
+    arrays = (data.nu, data.nu_dot, data.force)
+    return {
+        "LS (6.1)": baselines.ls_of_the_thesis(*arrays),
+        "LS_2, mass of the networks": baselines.ls_with_mass(*arrays, networks.mass),
+        "LS_2, true mass": baselines.ls_with_mass(*arrays, true["M"]),
+        "LS with Coriolis": baselines.ls_with_coriolis(*arrays),
+        "inverse LS": baselines.inverse_ls(*arrays),
+        "two-stage LS": baselines.two_stage_ls(*arrays),
+    }
+
+
+def by_fits(vehicle: jm.Vehicle, data: Data, case: Case) -> tuple[dict[str, Estimate], dict]:
+    """Maximum likelihood, always from the same guess, never from another method's result."""
+    start = baselines.start_of(vehicle)
+    everything = data.noise.copy()
+    everything[12:] = 1.0  # the fit weighs accelerations by their own scatter
+    out, how = {}, {}
+
+    def keep(name: str, fit: jm.Fit):
+        out[name] = baselines.estimate_of(fit.vehicle)
+        how[name] = {
+            "converged": fit.converged,
+            "steps": fit.steps,
+            "chi2_per_sample": fit.chi2_per_sample,
+            "windows_rejected": len(fit.rejected),
+        }
+
+    if "ml" in case.fits:
+        keep("acceleration ML", baselines.acceleration_ml(start, data.log, everything))
+    if "trajectory" in case.fits:
+        keep("trajectory", baselines.trajectory(start, data.log, data.noise, WINDOW, False, 40))
+    if "rejecting" in case.fits:
+        keep("trajectory, rejecting", baselines.trajectory(start, data.log, data.noise, WINDOW, True, 40))
+    if "reduced" in case.fits:
+        fewer = dataclasses.replace(start, dof=("surge", "heave", "yaw"))
+        keep("acceleration ML, 3 dof", baselines.acceleration_ml(fewer, data.log, everything))
+    return out, how
+
+
+def part(vehicle: jm.Vehicle, case: Case, seed: int, epochs: int) -> dict:
+    """All methods on one case of one seed: matrices, errors, how the solves ended, CPU time."""
+    began = time.process_time()
+    true = plant.truth(vehicle)
+    data = data_of(vehicle, case, seed)
+    estimates, costs = by_networks(data, true, case.variants, seed, epochs)
+    estimates |= by_least_squares(data, true, estimates["networks"])
+    fitted, how = by_fits(vehicle, data, case)
+    estimates |= fitted
+    matrices = {
+        name: {
+            key: None if value is None else np.asarray(value).tolist()
+            for key, value in zip(MATRICES, (e.mass, e.linear, e.quadratic), strict=True)
+        }
+        for name, e in estimates.items()
+    }
+    return {
+        "case": case.name,
+        "seed": seed,
+        "excitation": {
+            "nu_std": np.asarray(data.nu).std(axis=0).tolist(),
+            "nu_dot_std": np.asarray(data.nu_dot).std(axis=0).tolist(),
+        },
+        "matrices": matrices,
+        "errors": {name: compared(found, true, ALL) for name, found in matrices.items()},
+        "driven_errors": {name: compared(found, true, DRIVEN) for name, found in matrices.items()},
+        "network_costs": costs,
+        "fits": how,
+        "cpu_s": time.process_time() - began,
+    }
+
+
+def compared(found: Mapping[str, Any], true, axes: np.ndarray) -> dict:
+    """Errors of the matrices that were found, on some axes."""
+    block = np.ix_(axes, axes)
+    return {
+        key: baselines.errors(np.asarray(value)[block], np.asarray(true[key])[block])
+        for key, value in found.items()
+        if value is not None
+    }
+
+
+# --- what is written -----------------------------------------------------------------------------
+
+
+def spread(parts: list[dict], case: str, of: str = "errors") -> dict:
+    """Median, least and largest error over seeds: method -> matrix -> kind."""
+    own = [p[of] for p in parts if p["case"] == case]
+    out: dict[str, Any] = {}
+    for method in own[0] if own else ():
+        out[method] = {}
+        for matrix in own[0][method]:
+            out[method][matrix] = {}
+            for kind in KINDS:
+                values = [p[method][matrix][kind] for p in own]
+                if None not in values:
+                    good = np.where(np.isfinite(values), values, np.inf)
+                    out[method][matrix][kind] = [float(f(good)) for f in (np.median, np.min, np.max)]
+    return out
+
+
+def number(x: float) -> str:
+    return f"{x:.3g}" if x < 1000 else f"{x:.0f}"
+
+
+def cell(values: Mapping[str, list[float]], width: bool) -> str:
+    """Diagonal / off-diagonal / zero, each as median, with the least and largest below."""
+    words = []
+    for kind in KINDS:
+        if kind in values:
+            middle, low, high = values[kind]
+            words.append(number(middle) + (f" ({number(low)}..{number(high)})" if width else ""))
+    return " / ".join(words)
+
+
+def errors_table(found: dict, printed: Mapping[str, Any] | None = None, width: bool = True) -> list[str]:
+    lines = ["| method | M diag / off / zero | D_l diag / off / zero | D_q diag |", "|---|---|---|---|"]
+    for method, by_matrix in found.items():
+        row = []
+        for m in MATRICES:
+            values = by_matrix.get(m, {})
+            keep = {k: v for k, v in values.items() if m != "D_q" or k == "diagonal"}
+            row.append(cell(keep, width) or "given")
+        lines.append(f"| {method} | " + " | ".join(row) + " |")
+        if printed and method in printed:
+            words = []
+            for m in MATRICES:
+                values = [str(x) for x in printed[method].get(m, ()) if x is not None]
+                words.append(" / ".join(values) or "-")
+            lines.append(f"| *{method}, printed* | " + " | ".join(f"*{w}*" for w in words) + " |")
+    return lines
+
+
+def matrix_lines(name: str, values) -> list[str]:
+    rows = [" ".join(f"{x:8.1f}" for x in row) for row in values]
+    return [f"{name}:", "```text", *rows, "```"]
+
+
+def claims(tables: dict) -> list[dict]:
+    """What the thesis claims, in numbers of this run (medians); a claim without its data is left out."""
+
+    def at(case, method, matrix, kind="diagonal"):
+        try:
+            return tables[case][method][matrix][kind][0]
+        except KeyError:
+            return None
+
+    text, longer, hit = "text, 1000 s", "text, 2000 s", "collisions, 1000 s"
+    rows = [
+        ("networks find M better than LS (6.1)", (text, "networks", "M"), (text, "LS (6.1)", "M")),
+        ("networks find D_l better than LS (6.1)", (text, "networks", "D_l"), (text, "LS (6.1)", "D_l")),
+        ("networks find M better than inverse LS", (text, "networks", "M"), (text, "inverse LS", "M")),
+        ("networks find M better than two-stage LS", (text, "networks", "M"), (text, "two-stage LS", "M")),
+        ("more data helps networks find M, text noise", (longer, "networks", "M"), (text, "networks", "M")),
+        (
+            "more data helps networks find M, listing noise",
+            ("listing, 2000 s", "networks", "M"),
+            ("listing, 1000 s", "networks", "M"),
+        ),
+        (
+            "zero elements of M set to zero help D_l (6.6)",
+            (text, "networks, zeros set (6.6)", "D_l"),
+            (text, "networks", "D_l"),
+        ),
+        (
+            "the true mass helps D_l",
+            (text, "networks, true mass", "D_l"),
+            (text, "networks", "D_l"),
+        ),
+        (
+            "networks find D_l better than LS_2 with the same mass (6.7)",
+            (longer, "networks", "D_l"),
+            (longer, "LS_2, mass of the networks", "D_l"),
+        ),
+        (
+            "networks find D_q better than LS_2 with the same mass (6.7)",
+            (longer, "networks", "D_q"),
+            (longer, "LS_2, mass of the networks", "D_q"),
+        ),
+    ]
+    out = []
+    for words, better, worse in rows:
+        a, b = at(*better), at(*worse)
+        if a is not None and b is not None:
+            out.append({"claim": words, "median": a, "against": b, "holds": bool(a < b)})
+    clean, dirty = at(text, "networks", "M"), at(hit, "networks", "M")
+    if clean is not None and dirty is not None:
+        # "Ignored" is taken as at most a tenth more error.
+        out.append(
+            {
+                "claim": "networks ignore collisions (M)",
+                "median": dirty,
+                "against": clean,
+                "holds": bool(dirty < 1.1 * clean),
+            }
+        )
+    return out
+
+
+TARGETS = (
+    ("text, 1000 s", "two-stage LS", "M", "diagonal", 8.0),
+    ("text, 1000 s", "acceleration ML", "M", "diagonal", 3.0),
+    ("text, 1000 s", "acceleration ML", "D_l", "diagonal", 20.0),
+    ("text, 1000 s", "trajectory", "M", "diagonal", 0.1),
+    ("text, 1000 s", "trajectory", "D_l", "diagonal", 0.5),
+    ("text, 1000 s", "trajectory", "D_l", "off_diagonal", 2.0),
+    ("text, 1000 s", "trajectory", "D_q", "diagonal", 2.0),
+    ("realistic, 1000 s", "trajectory", "M", "diagonal", 1.0),
+    ("realistic, 1000 s", "trajectory", "D_l", "diagonal", 5.0),
+    ("realistic, 1000 s", "trajectory", "D_l", "off_diagonal", 20.0),
+    ("realistic, 1000 s", "trajectory", "D_q", "diagonal", 30.0),
+    ("collisions, 1000 s", "trajectory, rejecting", "M", "diagonal", 0.1),
+    ("collisions, 1000 s", "trajectory, rejecting", "D_l", "diagonal", 0.5),
+    ("collisions, 1000 s", "trajectory, rejecting", "D_l", "off_diagonal", 2.0),
+    ("collisions, 1000 s", "trajectory, rejecting", "D_q", "diagonal", 2.0),
+)
+
+
+def reached(tables: dict) -> list[dict]:
+    """The bars for classical methods, and what was measured."""
+    out = []
+    for case, method, matrix, kind, bar in TARGETS:
+        if method in tables.get(case, {}):
+            middle, low, high = tables[case][method][matrix][kind]
+            out.append(
+                {
+                    "case": case,
+                    "method": method,
+                    "what": f"{matrix} {kind}",
+                    "bar": bar,
+                    "median": middle,
+                    "least": low,
+                    "largest": high,
+                    "met": bool(middle <= bar),
+                }
+            )
+    return out
+
+
+def markdown(results: dict, parts: list[dict]) -> str:
+    tables, text, longer = results["tables"], "text, 1000 s", "text, 2000 s"
+    counts = {c: sum(p["case"] == c for p in parts) for c in tables}
+    lines = ["# Tethra, tables 6.1 to 6.7", ""]
+    lines += ["Errors in per cent: median (least..largest) over seeds. " + json.dumps(counts), ""]
+    lines += ["| claim | median | against | holds |", "|---|---|---|---|"]
+    for c in results["claims"]:
+        held = "yes" if c["holds"] else "no"
+        lines.append(f"| {c['claim']} | {number(c['median'])} | {number(c['against'])} | {held} |")
+    lines += ["", "| bar | at most | median (least..largest) | met |", "|---|---|---|---|"]
+    for r in results["bars"]:
+        word = f"{number(r['median'])} ({number(r['least'])}..{number(r['largest'])})"
+        met = "yes" if r["met"] else "no"
+        lines.append(f"| {r['case']}: {r['method']}, {r['what']} | {r['bar']:g} | {word} | {met} |")
+    for title, case, methods in (
+        ("Table 6.1", text, ("LS (6.1)", "networks")),
+        ("Table 6.4", longer, ("LS (6.1)", "networks")),
+        ("Table 6.6", longer, ("LS_2, mass of the networks",)),
+    ):
+        own = [p for p in parts if p["case"] == case]
+        if own:
+            lines += ["", f"## {title}, the first seed ({case})"]
+            for method in methods:
+                for matrix, values in own[0]["matrices"][method].items():
+                    if values is not None:
+                        lines += matrix_lines(f"{method}, {matrix}", values)
+    for title, case, of in (
+        ("6.2", text, "tables"),
+        ("6.3", text, "driven_tables"),
+        ("6.5", longer, "tables"),
+        ("6.7", longer, "tables"),
+    ):
+        found = {k: v for k, v in results[of].get(case, {}).items() if k in PRINTED[title]}
+        if found:
+            lines += ["", f"## Table {title} ({case})", "", *errors_table(found, PRINTED[title])]
+    for case, found in tables.items():
+        lines += ["", f"## All methods: {case}", "", *errors_table(found)]
+        driven = results["driven_tables"][case]
+        only = {
+            k: v for k, v in driven.items() if k in ("networks", "acceleration ML", "acceleration ML, 3 dof")
+        }
+        lines += ["", "Surge, heave and yaw alone:", "", *errors_table(only)]
+    return "\n".join(lines) + "\n"
+
+
+def figure(parts: list[dict], out: Path) -> None:
+    """Every seed's error on the diagonals, method by method, without and with collisions."""
+    cases = ["text, 1000 s", "collisions, 1000 s", "realistic, 1000 s"]
+    cases = [c for c in cases if any(p["case"] == c for p in parts)]
+    names: list[str] = []
+    for p in parts:
+        names += [n for n in p["errors"] if n not in names and "3 dof" not in n and "set" not in n]
+    plot, axes = plt.subplots(1, 3, figsize=(12, 0.35 * len(names) + 1.8), sharey=True)
+    for ax, matrix in zip(axes, MATRICES, strict=True):
+        for k, (case, colour) in enumerate(zip(cases, ("C0", "C1", "C2"), strict=False)):
+            own = [p["errors"] for p in parts if p["case"] == case]
+            for row, name in enumerate(names):
+                values = [e[name][matrix]["diagonal"] for e in own if matrix in e.get(name, {})]
+                label = case.split(",")[0] if row == 0 else None
+                height = np.full(len(values), row + 0.22 * (k - 1))
+                ax.plot(values, height, "o", ms=3.5, color=colour, alpha=0.8)
+                if label:
+                    ax.plot([], [], "o", ms=3.5, color=colour, label=label)
+        ax.set_xscale("log")
+        ax.set_xlabel(f"largest error on the diagonal of {matrix} (%)")
+        ax.grid(axis="x", lw=0.4, color="0.8")
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].invert_yaxis()
+    axes[-1].legend(fontsize=8)
+    plot.tight_layout()
+    for kind in ("png", "svg"):
+        plot.savefig(out / f"errors.{kind}", dpi=110)
+    plt.close(plot)
+
+
+def write(parts: list[dict], out: Path) -> None:
+    """The results as numbers, tables and picture; called after every part."""
+    cases = list(dict.fromkeys(p["case"] for p in parts))
+    tables = {c: spread(parts, c) for c in cases}
+    results = {
+        "tables": tables,
+        "driven_tables": {c: spread(parts, c, "driven_errors") for c in cases},
+        "claims": claims(tables),
+        "bars": reached(tables),
+        "network_costs": [{"case": p["case"], "seed": p["seed"], "costs": p["network_costs"]} for p in parts],
+        "fits": [{"case": p["case"], "seed": p["seed"], "fits": p["fits"]} for p in parts],
+        "cpu_s": sum(p["cpu_s"] for p in parts),
+    }
+    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
+    (out / "tables.md").write_text(markdown(results, parts))
+    figure(parts, out)
+
+
+def main(
+    out: Path = typer.Option(..., help="folder for results, tables and figure"),
+    seeds: int = typer.Option(5, help="dives"),
+    quick: bool = typer.Option(False, help="one dive of a minute, fewer cases and epochs"),
+) -> None:
+    """Redoes the thesis' tables 6.1 to 6.7 and says claim by claim what holds."""
+    cases, seeds, epochs = (QUICK, 1, 10) if quick else (FULL, seeds, 50)
+    (out / "parts").mkdir(parents=True, exist_ok=True)
+    vehicle, parts = plant.tethra(), []
+    with Progress() as progress:
+        bar = progress.add_task("dives", total=seeds * len(cases))
+        for seed in range(seeds):
+            for case in cases:
+                name = case.name.replace(", ", "_").replace(" ", "")
+                path = out / "parts" / f"{name}_{case.duration:g}s_{epochs}_{seed}.json"
+                if not path.exists():
+                    path.write_text(json.dumps(part(vehicle, case, seed, epochs)))
+                parts.append(json.loads(path.read_text()))
+                write(parts, out)
+                progress.advance(bar)
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    typer.run(main)
