@@ -95,6 +95,7 @@ def test_forward_dynamics_inverts_them():
     assert np.allclose(jm.forward_dynamics(vehicle, state, drive), nu_dot, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow  # compiles a roll-out; the test above has the same physics
 def test_a_free_body_keeps_its_momentum_while_the_mass_slides():
     """In a roll-out: whatever the slider does, momenta in earth axes about a fixed point stay."""
     vehicle = in_vacuum()
