@@ -96,7 +96,7 @@ def _sonar(vehicle: jm.Vehicle) -> Any:
 
 def mounted(vehicle: jm.Vehicle) -> jm.Vehicle:
     """With the sonar's mass and displacement, which the controller is told of; damping as before."""
-    return eqx.tree_at(_sonar, vehicle, Payload(**{name: jnp.asarray(x) for name, x in SONAR.items()}))
+    return eqx.tree_at(_sonar, vehicle, Payload(**{name: jnp.asarray(x, float) for name, x in SONAR.items()}))
 
 
 def dragging(vehicle: jm.Vehicle) -> jm.Vehicle:
