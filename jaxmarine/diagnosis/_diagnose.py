@@ -87,7 +87,6 @@ def diagnose(
     bench = _rescaled(bench, begun)
     base = bench.refine(begun)
     found = search(bench, base, progress)
-    bench = found.bench
     progress("settling what was found")
     model, dense = _settled(bench, found)
     now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
@@ -260,10 +259,10 @@ def _rescaled(bench: Workbench, begun: Model) -> Workbench:
 
 
 def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:
-    """The workbench with another noise of some channels, which nobody states."""
+    """The workbench with another noise of some channels."""
     now = bench.noise.copy()
     now[channels] = noise
-    return bench.reweighed(now, tuple(channels))
+    return bench.reweighed(now)
 
 
 # --- settling ------------------------------------------------------------------------------------

@@ -114,15 +114,12 @@ class Workbench:
         data: Cut,
         noise: Float[np.ndarray, "18"],
         split: int,
-        loose: tuple[int, ...] = (),
     ):
-        """`loose`: channels whose noise nobody states, so that it is what the model leaves of them."""
         self.vehicle = vehicle
         self.layout = layout
         self.data = data
         self.noise = noise
         self.split = split
-        self.loose = loose
         self.families = families
         self.base = _base_coefficients(vehicle, layout)
         self.count = data.windows.count
@@ -305,52 +302,13 @@ class Workbench:
         squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
         return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
 
-    def channel_chi2(self, model: Model) -> Float[np.ndarray, "18"]:
-        """Sum of squares of each channel's residuals in units of its noise."""
-        residual = _residuals(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)
-        return np.asarray((residual**2).sum(axis=(0, 1)))
-
-    def saved(self, before: Model, after: Model) -> float:
-        """Twice the logarithm of how many times likelier the logs are by one model than by another.
-
-        The difference in chi-square; where the noise is unknown, each model has its own estimate of it, and
-        n (s1² - s2²) / s² becomes n log(s1² / s2²), with n the chi-square before: the number of samples
-        that count.
-        """
-        if not self.loose:
-            return 2 * (before.cost - after.cost)
-        a, b = self.channel_chi2(before), self.channel_chi2(after)
-        each = a - b
-        both = np.isin(np.arange(len(a)), self.loose) & (a > 0) & (b > 0)
-        each[both] = a[both] * np.log(a[both] / b[both])
-        return float(each.sum()) + self._held(before) - self._held(after)
-
-    def _held(self, model: Model) -> float:
-        """What the priors on z and on the initial states cost."""
-        start = self._problem.start_precision * model.delta**2
-        return float(self._precision(model) @ model.z**2) + float(start.sum())
-
-    def reweighed(self, noise: Float[np.ndarray, "18"], loose: tuple[int, ...]) -> "Workbench":
+    def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
         """The same with another noise of its channels."""
         windows = self.data.windows
         weight = np.asarray(windows.weight) * np.nan_to_num(self.noise / noise, nan=1.0)
         windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
         data = dataclasses.replace(self.data, windows=windows)
-        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split, loose)
-
-    def sharpened(self, before: Model, after: Model) -> "Workbench":
-        """The same with unknown noises as much smaller as a better model has made their residuals.
-
-        Itself, where all noises are stated.
-        """
-        if not self.loose:
-            return self
-        a, b = (self.channel_chi2(model) for model in (before, after))
-        share = np.ones_like(self.noise)
-        loose = list(self.loose)
-        share[loose] = np.minimum(1.0, np.sqrt(b[loose] / np.maximum(a[loose], 1e-300)))
-        share[share == 0] = 1.0  # locked axes have no residual
-        return self.reweighed(self.noise * share, self.loose)
+        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split)
 
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.

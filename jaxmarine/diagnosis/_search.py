@@ -19,8 +19,6 @@ CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
 # of what the best saves. They end where a step promises less than this share of the chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 5, 12, 0.5, 1e-4
-# Rounds of estimating noises that nobody states, by what a suspect's refit leaves.
-SHARPENINGS = 2
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -61,9 +59,8 @@ class Round:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Where the search ended; `bench`: with the noise that the model found has left of unstated sensors."""
+    """Where the search ended."""
 
-    bench: Workbench
     model: Model
     stats: Reduced
     rounds: tuple[Round, ...]
@@ -140,20 +137,14 @@ def _trials(
     for member, value in starts:
         value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
         fitted = bench.refine(bench.with_member(model, member, value), FEW_STEPS, ROUGH)
-        trials.append(Trial(member, fitted, bench.saved(model, fitted)))
+        trials.append(Trial(member, fitted, 2 * (model.cost - fitted.cost)))
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
     for i, trial in enumerate(trials):
         more = trial.model.cost - trial.model.promised
-        if bench.loose and trial.saved > hopeful:
-            # By its own estimate of the noise: a true cause puts all channels right together.
-            fitted = trial.model
-            for _ in range(SHARPENINGS):
-                fitted = bench.sharpened(model, fitted).refine(fitted, STEPS, ROUGH)
-            trials[i] = Trial(trial.member, fitted, bench.saved(model, fitted))
-        elif more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
+        if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
             fitted = bench.refine(trial.model, STEPS, ROUGH)
-            trials[i] = Trial(trial.member, fitted, bench.saved(model, fitted))
+            trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
     return [t for t in trials if bench.sound(t.model)]
 
 
@@ -226,24 +217,21 @@ def search(
         rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
         accepted, after, phi = False, stats, 1.0
         for trial in [trials[0], *rivals[: CHANCES - 1]]:
-            sharp = bench.sharpened(model, trial.model)
-            exact = sharp.refine(trial.model)
+            exact = bench.refine(trial.model)
             if not (np.isfinite(exact.cost) and bench.sound(exact)):
                 continue
-            winner = dataclasses.replace(trial, model=exact, saved=bench.saved(model, exact))
+            winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
             after = bench.screen(exact)
             phi = dispersion(bench, exact, after)
             accepted = significant(bench, winner, stats, after, phi)
             if accepted:
-                bench = sharp
                 trials = [winner, *(t for t in trials if t is not trial)]
                 break
         rounds.append(Round(_once(trials), accepted, phi))
         if not accepted:
             break
-        model = trials[0].model
-        stats = bench.screen(model) if bench.loose else after
-    return Found(bench, model, stats, tuple(rounds))
+        model, stats = trials[0].model, after
+    return Found(model, stats, tuple(rounds))
 
 
 def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:
