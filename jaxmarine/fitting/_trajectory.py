@@ -144,7 +144,10 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refine
     chi2, scores, information = refined.stats.reduced()
     # Components of the initial states that the data hold, rather than their weak prior.
     pull = np.asarray(task.problem.start_precision)
-    loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
+    try:
+        loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
+    except np.linalg.LinAlgError:  # of a roll-out that diverged; the cost says so
+        loose = 0.0
     weight = np.asarray(task.problem.windows.weight)
     samples = int((weight > 0).sum())
     z = np.asarray(refined.z)
@@ -173,7 +176,10 @@ def spurious(task: Task, refined: Refined) -> np.ndarray:
     there = np.asarray(refined.stats.reduced()[2].sum(0))
     if not np.isfinite(there).all():
         return there
-    factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
+    try:
+        factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
+    except np.linalg.LinAlgError:  # of a roll-out that diverged
+        return there
     draws = np.random.default_rng(0).normal(size=refined.delta.shape)
     # Windows that were rejected, or that only fill up an array, have nothing that would hold their draws.
     used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
