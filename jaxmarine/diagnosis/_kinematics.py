@@ -95,7 +95,7 @@ def contradiction(
         return jnp.where(known, predicted - jnp.nan_to_num(seen.logged), 0.0)
 
     def misfit(values, args, suspect: Suspect):
-        return errors(place(suspect, vehicle, values)) / args
+        return errors(place(suspect, vehicle, values)) / args[None]
 
     for i, suspect in enumerate(suspects):
         if not issubclass(suspect.effect, SensorEffect):
