@@ -230,7 +230,6 @@ def test_an_update_is_taken_only_where_it_predicts_better(tethra, monkeypatch):
 # --- the study ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow  # compiles for long
 def test_a_quick_study_learns_the_changed_damping(tmp_path):
     result = CliRunner().invoke(tethra_control.app, ["--out", str(tmp_path), "--quick"])
     assert result.exit_code == 0, result.output

@@ -69,7 +69,6 @@ def test_stretches_are_about_equal_and_in_order():
     assert set(np.bincount(parts)) <= {50, 51}
 
 
-@pytest.mark.slow  # compiles for long
 def test_a_quick_run_predicts_far_better_than_the_printed_damping(tmp_path):
     app = typer.Typer()
     app.command()(minesniper.main)
