@@ -12,6 +12,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from ._errors import InputError
 
+_FIRST_TIME = "the first time for a vehicle, programs are compiled for about a minute"
+
 app = typer.Typer(
     help="Identifies marine vehicles from measured logs: simulates, fits, and names what a model gets wrong.",
     no_args_is_help=True,
@@ -98,9 +100,7 @@ def diagnose(
     logs = [read_log(path, craft, columns_map) for path in train]
     held_out = read_log(test, craft, columns_map)
     _note(*logs, held_out)
-    with _progress(
-        "diagnosing; the first time for a vehicle, programs are compiled for about a minute"
-    ) as tell:
+    with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
         result = run(craft, logs, held_out, window=window, progress=tell)
     _write(result, out)
 
@@ -240,7 +240,7 @@ def fit(
     columns_map = _columns(columns)
     logs = [read_log(path, craft, columns_map) for path in train]
     _note(*logs)
-    with _progress("fitting; the first time for a vehicle, programs are compiled for about a minute"):
+    with _progress(f"fitting; {_FIRST_TIME}"):
         result = run(
             craft,
             logs,
@@ -278,6 +278,7 @@ def check(
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
     recorded = [read_log(path, craft, columns_map) for path in logs]
+    _note(*recorded)
     with _progress("checking"):
         result = run(craft, recorded)
     _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
@@ -301,7 +302,7 @@ def demo(
         save_vehicle(craft, out / "vehicle.toml")
         write_log(train, out / "train.csv")
         write_log(test, out / "test.csv")
-        tell("diagnosing; the first time, programs are compiled for about a minute")
+        tell(f"diagnosing; {_FIRST_TIME}")
         result = run(craft, train, test, progress=tell)
     _out.print("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
     _write(result, out)

@@ -11,16 +11,13 @@ import numpy as np
 from ._errors import InputError
 from ._files import did_you_mean, existing_file, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
-from .networks import LearnedThrust, LearnedWrench, MLPDamping, RBFDamping, signals_known
+from .networks import LEARNED, LearnedTerm
 from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
 from .vehicle_file import Slider as SliderTable
 
-# Learned terms that are made from their arrays and their inputs alone.
-_OF_ARRAYS = {cls.name: cls for cls in (MLPDamping, RBFDamping, LearnedThrust)}
-_LEARNED = (LearnedWrench.name, *_OF_ARRAYS)
-_Learned = LearnedWrench | MLPDamping | RBFDamping | LearnedThrust
+_LEARNED = {cls.name: cls for cls in LEARNED}
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -39,26 +36,11 @@ def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -
 
 
 def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
-    if entry.effect == LearnedWrench.name:
-        if entry.target not in file.dof:
-            raise ValueError(
-                f"has the target `{entry.target}`, but must name a free axis: {', '.join(file.dof)}."
-            )
+    if entry.effect in _LEARNED:
         if entry.arrays is None or not entry.inputs:
             raise ValueError("is a learned term and needs `arrays` and `inputs`.")
-        for name in entry.inputs:
-            if not signals_known(name, file.thruster_names):
-                raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
-        return
-    if entry.effect == LearnedThrust.name:
-        if entry.arrays is None or not entry.inputs or entry.inputs != file.thruster_names:
-            raise ValueError("is a learned thrust and needs `arrays`, and all thrusters as `inputs`.")
-        return
-    if entry.effect in (MLPDamping.name, RBFDamping.name):
-        if entry.arrays is None or not entry.inputs or not set(entry.inputs) <= set(file.dof):
-            raise ValueError("is a learned damping and needs `arrays`, and free axes as `inputs`.")
-        return
-    if entry.arrays is not None or entry.inputs:
+        _LEARNED[entry.effect].check(file, entry.target, entry.inputs)
+    elif entry.arrays is not None or entry.inputs:
         raise ValueError(
             f"has `arrays` or `inputs`, which only a learned term (`{'`, `'.join(_LEARNED)}`) has."
         )
@@ -141,19 +123,12 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> _Learned:
+def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedTerm:
     beside = existing_file(path.parent / str(entry.arrays))
     try:
         with np.load(beside, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name], float) for name in stored.files}
-        if entry.effect in _OF_ARRAYS:
-            return _OF_ARRAYS[entry.effect].restored(arrays, entry.inputs)
-        return LearnedWrench(
-            **{name: jnp.asarray(value) for name, value in arrays.items()},
-            target=str(entry.target),
-            inputs=entry.inputs,
-            thrusters=file.thruster_names,
-        )
+        return _LEARNED[entry.effect].restored(arrays, file, entry.target, entry.inputs)
     except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
         raise InputError(f"{beside}: is no file of arrays of a learned term ({error}).") from error
 
@@ -171,7 +146,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     for number, placed in enumerate(vehicle.placed):
         entry: dict = {"effect": placed.effect.name, "target": placed.target}
         entry |= {"since": placed.since, "since_log": placed.since_log}
-        if isinstance(placed.effect, _Learned):
+        if isinstance(placed.effect, LearnedTerm):
             kind = placed.target or placed.effect.name
             beside = path.with_name(f"{path.stem}_{kind}_{number}.npz")
             with written_whole(beside) as whole, open(whole, "wb") as stream:

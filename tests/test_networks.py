@@ -13,7 +13,7 @@ import pytest
 from experiments import fouled_propeller, nonlinear_damping
 from jaxmarine import InputError
 from jaxmarine.effects import Motion
-from jaxmarine.networks import Seen, learned_thrust, mlp_damping
+from jaxmarine.networks import Seen, learned_thrust, learned_wrench, mlp_damping
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state
 from jaxmarine.vehicle import Input, Placed, Vehicle, forward_dynamics
@@ -239,6 +239,28 @@ def test_a_learned_thrust_for_other_thrusters_is_refused(tmp_path, change):
     (tmp_path / "ship.toml").write_text(f"{head}[[effect]]\n{lines}\n")
     with pytest.raises(InputError, match="all thrusters"):
         load_vehicle(tmp_path / "ship.toml")
+
+
+def wrench_term():
+    reach = np.ones(4)  # u, sine and cosine of psi, a command
+    return learned_wrench(
+        "yaw", ("u", "psi", "bow"), ("star", "port", "bow"), -reach, reach, 2.0, jax.random.key(0)
+    )
+
+
+@pytest.mark.parametrize("term", [damping_term(), thrust_term(), wrench_term()], ids=lambda term: term.name)
+def test_every_array_of_a_learned_term_must_have_its_shape(term):
+    names = tuple(term.arrays())
+    restored = type(term).restored(term.arrays(), ship(), "yaw", term.inputs)
+    assert eqx.tree_equal(restored, term)
+    for name in names:
+        cut = term.arrays() | {name: np.zeros((*term.arrays()[name].shape, 2))}
+        with pytest.raises((ValueError, KeyError)):
+            type(term).restored(cut, ship(), "yaw", term.inputs)
+    with pytest.raises((ValueError, KeyError)):
+        type(term).restored(dict(list(term.arrays().items())[1:]), ship(), "yaw", term.inputs)
+    with pytest.raises(ValueError, match="are not"):
+        type(term).restored(term.arrays() | {"more": np.zeros(2)}, ship(), "yaw", term.inputs)
 
 
 # --- the plant of `nonlinear_damping` ---------------------------------------------------------

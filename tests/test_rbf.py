@@ -32,7 +32,7 @@ def some_term(seed: int = 0) -> RBFDamping:
         reach=jnp.array([0.5, 0.8]),
         input_scale=jnp.array([0.4, 0.2]),
         output_scale=jnp.array([10.0, 3.0]),
-        axes=("surge", "yaw"),
+        inputs=("surge", "yaw"),
     )
 
 
@@ -185,7 +185,7 @@ def test_a_vehicle_with_networks_survives_its_file(tmp_path):
     jm.save_vehicle(vehicle, tmp_path / "a.toml")
     again = jm.load_vehicle(tmp_path / "a.toml")
     effect = again.placed[0].effect
-    assert isinstance(effect, RBFDamping) and effect.axes == ("surge", "yaw")
+    assert isinstance(effect, RBFDamping) and effect.inputs == ("surge", "yaw")
     nu = motion([0.3, 0.1, 0.0, 0.0, 0.0, 0.1])
     assert np.array_equal(effect(nu), some_term()(nu))
     # What is placed acts in the equations of motion.

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from ._damping import Trust, pick
+
 
 class Restarts(eqx.Module):
     """Where each start has led; everything has the starts as its leading axis.
@@ -75,18 +77,14 @@ class Normal(eqx.Module):
 class _State(eqx.Module):
     y_eval: Float[Array, " weights"]
     normal: Normal
-    cost: Float[Array, ""]
-    predicted: Float[Array, ""]
-    damping: Float[Array, ""]
-    growth: Float[Array, ""]
-    first: Bool[Array, ""]
+    trust: Trust
     terminate: Bool[Array, ""]
 
 
 class NormalLevenbergMarquardt(optx.AbstractMinimiser[Float[Array, " weights"], Normal, _State]):
     """Levenberg-Marquardt on a function that gives half the sum of squares and its `Normal` equations.
 
-    Damping after Nielsen (1999), scaled by Marquardt (1963). It ends where a step promises less than `rtol`
+    Damping as in `Trust`, scaled by Marquardt (1963). It ends where a step promises less than `rtol`
     of the cost, or where damping of 1e10 finds no decrease.
     """
 
@@ -96,42 +94,28 @@ class NormalLevenbergMarquardt(optx.AbstractMinimiser[Float[Array, " weights"], 
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
         del fn, args, options, f_struct, tags
-        big = jnp.asarray(jnp.inf, y.dtype)
         return _State(
             y_eval=y,
             normal=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
-            cost=big,
-            predicted=big,
-            damping=jnp.asarray(1e-2, y.dtype),
-            growth=jnp.asarray(2.0, y.dtype),
-            first=jnp.array(True),
+            trust=Trust.start(1e-2),
             terminate=jnp.array(False),
         )
 
     def step(self, fn, y, args, options, state: _State, tags):
         del options, tags
         cost, normal = fn(state.y_eval, args)
-        cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
-        better = (cost < state.cost) | state.first
-        ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)
-        eased = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.clip(ratio, 0.0, 1.0) - 1) ** 3)
-        damping = jnp.where(better, eased, state.damping * state.growth)
-        damping = jnp.where(state.first, state.damping, damping)
-        growth = jnp.where(better, 2.0, 2.0 * state.growth)
-        pick = lambda new, old: jnp.where(better, new, old)  # noqa: E731
-        y, normal = pick(state.y_eval, y), jax.tree.map(pick, normal, state.normal)
-        cost = pick(cost, state.cost)
+        better, trust = state.trust.judged(cost)
+        y, normal = pick(better, state.y_eval, y), pick(better, normal, state.normal)
         diagonal = jnp.diag(normal.curvature)
         # A weight without slope, behind a saturated node, must not fly off.
         scale = jnp.maximum(diagonal, 1e-6 * diagonal.max() + 1e-300)
         step = -jax.scipy.linalg.solve(
-            normal.curvature + damping * jnp.diag(scale), normal.gradient, assume_a="pos"
+            normal.curvature + trust.damping * jnp.diag(scale), normal.gradient, assume_a="pos"
         )
         predicted = -(normal.gradient @ step + 0.5 * step @ normal.curvature @ step)
-        lost = ~jnp.isfinite(predicted) | (damping > 1e10)
-        done = lost | (predicted < self.rtol * cost)
-        after = _State(y + step, normal, cost, predicted, damping, growth, jnp.array(False), done)
-        return y, after, normal
+        lost = ~jnp.isfinite(predicted) | (trust.damping > 1e10)
+        done = lost | (predicted < self.rtol * trust.cost)
+        return y, _State(y + step, normal, trust.promised(predicted), done), normal
 
     def terminate(self, fn, y, args, options, state: _State, tags):
         del fn, y, args, options, tags
@@ -139,7 +123,7 @@ class NormalLevenbergMarquardt(optx.AbstractMinimiser[Float[Array, " weights"], 
 
     def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
         del fn, args, options, tags, result
-        return y, aux, {"cost": state.cost}
+        return y, aux, {"cost": state.trust.cost}
 
 
 @eqx.filter_jit

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from ._damping import Trust, pick
 from ._linearise import Affine, Problem, Statistics, linearise
 
 # Damping of the initial states, as a share of that of the parameters.
@@ -53,17 +54,13 @@ def residual_statistics(y: Unknowns, task: Task) -> tuple[Float[Array, ""], Stat
 class _State(eqx.Module):
     y_eval: Unknowns
     stats: Statistics
-    cost: Float[Array, ""]
-    predicted: Float[Array, ""]
-    damping: Float[Array, ""]
-    growth: Float[Array, ""]
-    first: Bool[Array, ""]
+    trust: Trust
     terminate: Bool[Array, ""]
     steps: Int[Array, ""]
 
 
 class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
-    """Damped Gauss-Newton on `residual_statistics`; damping after Nielsen (1999), scaled by Marquardt (1963).
+    """Damped Gauss-Newton on `residual_statistics`; damping as in `Trust`, scaled by Marquardt (1963).
 
     It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, where
     damping of 1e8 finds no decrease, or after `limit` steps; `rtol` and `limit` come as options, traced,
@@ -76,15 +73,10 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
         del fn, args, options, f_struct, tags
-        big = jnp.asarray(jnp.inf, jnp.result_type(float))
         return _State(
             y_eval=y,
             stats=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
-            cost=big,
-            predicted=big,
-            damping=jnp.asarray(1e-4, big.dtype),
-            growth=jnp.asarray(2.0, big.dtype),
-            first=jnp.array(True),
+            trust=Trust.start(1e-4),
             terminate=jnp.array(False),
             steps=jnp.array(0),
         )
@@ -94,28 +86,19 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         cost, stats = fn(state.y_eval, args)
         # Where a roll-out is finite its sensitivities may not be: no step could start from there.
         usable = jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
-        cost = jnp.where(usable, cost, jnp.inf)
-        better = (cost < state.cost) | state.first
-        ratio = (state.cost - cost) / jnp.maximum(state.predicted, 1e-300)
-        eased = state.damping * jnp.maximum(1 / 3, 1 - (2 * jnp.clip(ratio, 0.0, 1.0) - 1) ** 3)
-        damping = jnp.where(
-            state.first, state.damping, jnp.where(better, eased, state.damping * state.growth)
-        )
-        growth = jnp.where(better, 2.0, 2.0 * state.growth)
-        y = jax.tree.map(lambda new, old: jnp.where(better, new, old), state.y_eval, y)
-        stats = jax.tree.map(lambda new, old: jnp.where(better, new, old), stats, state.stats)
-        cost = jnp.where(better, cost, state.cost)
+        better, trust = state.trust.judged(jnp.where(usable, cost, jnp.inf))
+        y, stats = pick(better, state.y_eval, y), pick(better, stats, state.stats)
 
         z, delta = y
         # Initial states are damped too, or a step of theirs that overshoots could never be shortened; but
         # far less, since within a window they are nearly collinear and would creep (measured: a payload
         # took 5 steps without it, and did not converge in 25 with as much damping as z).
-        softened = jax.vmap(lambda h: h + STATES * damping * jnp.diag(jnp.diag(h)))(stats.h_xx)
+        softened = jax.vmap(lambda h: h + STATES * trust.damping * jnp.diag(jnp.diag(h)))(stats.h_xx)
         _, g, h = eqx.tree_at(lambda s: s.h_xx, stats, softened).reduced()
         prior = args.precision * (z - args.mean)
         h = h.sum(0) + jnp.diag(args.precision)
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
-        d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
+        d_z = -jax.scipy.linalg.solve(h + trust.damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
         # Window by window, as in `Statistics.reduced`.
         d_x = -jax.lax.map(_solved, (softened, stats.g_x + stats.h_xz @ d_z))
         # Decrease by the quadratic model itself, which knows no damping.
@@ -124,18 +107,14 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         )
         slope = (stats.g_x * d_x).sum() + (stats.g_z.sum(0) + prior) @ d_z
         predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, stats.h_xz, d_z) + 0.5 * bend)
-        small = 2 * predicted < self.atol + options["rtol"] * 2 * cost
-        lost = ~jnp.isfinite(predicted) | (damping > 1e8)
+        small = 2 * predicted < self.atol + options["rtol"] * 2 * trust.cost
+        lost = ~jnp.isfinite(predicted) | (trust.damping > 1e8)
         return (
             y,
             _State(
                 y_eval=(z + d_z, delta + d_x),
                 stats=stats,
-                cost=cost,
-                predicted=predicted,
-                damping=damping,
-                growth=growth,
-                first=jnp.array(False),
+                trust=trust.promised(predicted),
                 terminate=small | lost,
                 steps=state.steps + 1,
             ),
@@ -157,7 +136,7 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         return (
             y,
             state.stats,
-            {"cost": state.cost, "steps": state.steps, "predicted": state.predicted},
+            {"cost": state.trust.cost, "steps": state.steps, "predicted": state.trust.predicted},
         )
 
 

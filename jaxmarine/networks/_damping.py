@@ -10,15 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._types import DOFS, Wrench
-from ..effects import Craft, Motion, Suspect, WrenchEffect
+from ..effects import Craft, Motion, WrenchEffect
 from ._seen import Seen
+from ._term import LearnedTerm, check_axes, check_shapes
 
 # Equinox' first weights are below one over the root of the inputs: over inputs of one the units would
 # all be straight lines, and their solve long. So steep, each bends somewhere in the data.
 _STEEP = 3.0
 
 
-class MLPDamping(WrenchEffect):
+class MLPDamping(LearnedTerm, WrenchEffect):
     r"""Damping beside that of the vehicle, $\tau_a = \gamma(\nu_r) s_o (f(\nu_r / s_i) - f(0))$ on some axes.
 
     - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes
@@ -32,7 +33,6 @@ class MLPDamping(WrenchEffect):
     """
 
     name: ClassVar[str] = "mlp_damping"
-    units: ClassVar[Mapping[str, str]] = {}
 
     network: eqx.nn.MLP
     input_scale: Float[Array, " axes"]
@@ -40,21 +40,6 @@ class MLPDamping(WrenchEffect):
     seen: Seen
     # Activations are no arrays, and all that a plant holds must be.
     frame: eqx.nn.MLP = eqx.field(static=True)
-    axes: tuple[str, ...] = eqx.field(static=True)
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        raise NotImplementedError("A learned term has no neutral value before it is built.")
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return ()
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """What a vehicle file names: the axes."""
-        return self.axes
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, layer by layer."""
@@ -65,20 +50,19 @@ class MLPDamping(WrenchEffect):
         return {name: np.asarray(value) for name, value in out.items() if value is not None}
 
     @classmethod
-    def restored(cls, arrays: Mapping[str, np.ndarray], axes: tuple[str, ...]) -> Self:
-        """The term whose `arrays()` these were; ValueError where they do not fit together."""
+    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
+        del target
+        check_axes(craft, inputs)
+
+    @classmethod
+    def restored(
+        cls, arrays: Mapping[str, np.ndarray], craft: Craft, target: str | None, inputs: tuple[str, ...]
+    ) -> Self:
+        del craft, target
         depth = sum(name.startswith("weight_") for name in arrays) - 1
-        term = mlp_damping(
-            axes,
-            arrays["input_scale"],
-            arrays["output_scale"],
-            jax.random.key(0),
-            width=len(arrays["weight_0"]),
-            depth=depth,
-        )
-        shapes = {name: value.shape for name, value in term.arrays().items()}
-        if shapes != {name: np.shape(value) for name, value in arrays.items()}:
-            raise ValueError(f"its arrays are not {shapes}")
+        one, width = np.ones(len(inputs)), len(arrays["weight_0"])
+        term = mlp_damping(inputs, one, one, jax.random.key(0), width=width, depth=depth)
+        check_shapes(arrays, {name: value.shape for name, value in term.arrays().items()})
 
         def stored(term: Self) -> list[Array | None]:
             layers = term.network.layers
@@ -91,7 +75,7 @@ class MLPDamping(WrenchEffect):
         return eqx.tree_at(stored, term, [jnp.asarray(arrays[name], float) for name in names])
 
     def __call__(self, motion: Motion) -> Wrench:
-        places = np.array([DOFS.index(axis) for axis in self.axes])
+        places = np.array([DOFS.index(axis) for axis in self.inputs])
         network = eqx.combine(self.network, self.frame)
         x = motion.nu_r[places] / self.input_scale
         force = self.seen(motion.nu_r[places]) * self.output_scale * (network(x) - network(jnp.zeros_like(x)))
@@ -134,5 +118,5 @@ def mlp_damping(
         output_scale=jnp.asarray(np.asarray(force, float)),
         seen=Seen.within(speed) if seen is None else Seen.of(seen),
         frame=frame,
-        axes=tuple(axes),
+        inputs=tuple(axes),
     )

@@ -1,6 +1,5 @@
 """A wrench that no known effect explains, learned as a network of measured signals."""
 
-import dataclasses
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -12,8 +11,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._errors import InputError
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Wrench
-from ..effects import Craft, Motion, Suspect, WrenchEffect
+from ..effects import Craft, Motion, WrenchEffect
 from ..physics import to_euler_matrix
+from ._term import LearnedTerm, check_shapes
 
 # Every signal that a residual is tested against, besides the thrusters' commands.
 SIGNALS = (*POSITION, *ATTITUDE, *VELOCITY, *RATE, "t")
@@ -45,7 +45,7 @@ def signals(motion: Motion, names: tuple[str, ...], thrusters: tuple[str, ...]) 
     return jnp.stack(out)
 
 
-class LearnedWrench(WrenchEffect):
+class LearnedWrench(LearnedTerm, WrenchEffect):
     r"""A force on one axis as a network of named signals, $\tau_i = s\, W_2 \tanh(W_1 x + b_1) + s\, b_2$.
 
     - `weight_1` [hidden, inputs], `bias_1`, `weight_2` [hidden], `bias_2`: the network, zero at the start
@@ -59,7 +59,6 @@ class LearnedWrench(WrenchEffect):
     """
 
     name: ClassVar[str] = "unknown"
-    units: ClassVar[Mapping[str, str]] = {}
 
     weight_1: Float[Array, "hidden inputs"]
     bias_1: Float[Array, " hidden"]
@@ -69,27 +68,32 @@ class LearnedWrench(WrenchEffect):
     high: Float[Array, " inputs"]
     scale: Float[Array, ""]
     target: str = eqx.field(static=True)
-    inputs: tuple[str, ...] = eqx.field(static=True)
     thrusters: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        raise NotImplementedError("A learned term has no neutral value before it is built.")
+    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
+        if target not in craft.dof:
+            raise ValueError(f"has the target `{target}`, but must name a free axis: {', '.join(craft.dof)}.")
+        for name in inputs:
+            if not signals_known(name, craft.thruster_names):
+                raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return ()
+    def restored(
+        cls, arrays: Mapping[str, np.ndarray], craft: Craft, target: str | None, inputs: tuple[str, ...]
+    ) -> Self:
+        hidden = len(arrays["weight_2"])
+        # An angle comes as sine and cosine.
+        columns = sum(2 if name in ATTITUDE else 1 for name in inputs)
+        shapes = {"weight_1": (hidden, columns), "bias_1": (hidden,), "weight_2": (hidden,), "bias_2": ()}
+        check_shapes(arrays, shapes | {"low": (columns,), "high": (columns,), "scale": ()})
+        values = {name: jnp.asarray(value) for name, value in arrays.items()}
+        return cls(**values, target=str(target), inputs=inputs, thrusters=craft.thruster_names)
 
     @property
     def network(self) -> tuple[Array, ...]:
         """What is trained."""
         return self.weight_1, self.bias_1, self.weight_2, self.bias_2
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, for the file beside the vehicle."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: np.asarray(value) for name, value in values.items() if eqx.is_array(value)}
 
     def with_network(self, network: tuple[Array, ...]) -> "LearnedWrench":
         """The same term with other weights."""

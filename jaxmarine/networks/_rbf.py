@@ -5,14 +5,14 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Self
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from .._types import DOFS, Wrench
-from ..effects import Craft, Motion, Suspect, WrenchEffect
+from ..effects import Craft, Motion, WrenchEffect
+from ._term import LearnedTerm, check_axes, check_shapes
 
 # What left-out stretches choose among: widths of the basis functions and reaches of what was seen, in
 # scaled velocity; weight decay, in samples of unit force.
@@ -23,7 +23,7 @@ _REACHES = (0.5, 1.0, 2.0)
 _MOST_SEEN = 200
 
 
-class RBFDamping(WrenchEffect):
+class RBFDamping(LearnedTerm, WrenchEffect):
     r"""Damping beside that of the vehicle, $\tau_a = s_a\, g_a(x) \sum_k w_{ak} \psi_a(x, c_{ak})$.
 
     The inputs are scaled velocities through the water, $x = \nu_r / s_i$.
@@ -41,7 +41,6 @@ class RBFDamping(WrenchEffect):
     """
 
     name: ClassVar[str] = "rbf_damping"
-    units: ClassVar[Mapping[str, str]] = {}
 
     centres: Float[Array, "axes units axes"]
     weights: Float[Array, "axes units"]
@@ -50,40 +49,26 @@ class RBFDamping(WrenchEffect):
     reach: Float[Array, " axes"]
     input_scale: Float[Array, " axes"]
     output_scale: Float[Array, " axes"]
-    axes: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        raise NotImplementedError("A learned term has no neutral value before it is built.")
+    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
+        del target
+        check_axes(craft, inputs)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return ()
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """What a vehicle file names: the axes."""
-        return self.axes
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, for the file beside the vehicle."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: np.asarray(value) for name, value in values.items() if name != "axes"}
-
-    @classmethod
-    def restored(cls, arrays: Mapping[str, np.ndarray], axes: tuple[str, ...]) -> Self:
-        """The term whose `arrays()` these were; ValueError where they do not fit together."""
-        count = len(axes)
+    def restored(
+        cls, arrays: Mapping[str, np.ndarray], craft: Craft, target: str | None, inputs: tuple[str, ...]
+    ) -> Self:
+        del craft, target
+        count = len(inputs)
         units, points = np.shape(arrays["weights"])[-1], len(arrays["seen"])
         shapes = dict.fromkeys(("width", "reach", "input_scale", "output_scale"), (count,))
         shapes |= {"centres": (count, units, count), "weights": (count, units), "seen": (points, count)}
-        if shapes != {name: np.shape(value) for name, value in arrays.items()}:
-            raise ValueError(f"its arrays are not {shapes}")
-        return cls(**{name: jnp.asarray(value) for name, value in arrays.items()}, axes=axes)
+        check_shapes(arrays, shapes)
+        return cls(**{name: jnp.asarray(value) for name, value in arrays.items()}, inputs=inputs)
 
     def __call__(self, motion: Motion) -> Wrench:
-        places = np.array([DOFS.index(axis) for axis in self.axes])
+        places = np.array([DOFS.index(axis) for axis in self.inputs])
         x = motion.nu_r[places] / self.input_scale
         spread = 2.0 * self.width[:, None] ** 2
         near = jnp.exp(-((x[None, None] - self.centres) ** 2).sum(-1) / spread)
@@ -132,7 +117,7 @@ def rbf_damping(
         reach=jnp.asarray([reach for *_, reach in best]),
         input_scale=jnp.asarray(input_scale),
         output_scale=jnp.asarray(output_scale),
-        axes=tuple(axes),
+        inputs=tuple(axes),
     )
 
 

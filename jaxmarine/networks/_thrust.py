@@ -4,18 +4,16 @@ import dataclasses
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..effects import Craft, DriveEffect, Suspect
+from ..effects import Craft, DriveEffect
 from ..physics import Curve, Drive
+from ._term import LearnedTerm, check_shapes
 
-_HIDDEN = ("slope", "bias", "weight")
 
-
-class LearnedThrust(DriveEffect):
+class LearnedThrust(LearnedTerm, DriveEffect):
     r"""Thrust beside the curve of the file, per thruster, and more lag than the file's.
 
     $T / T_{max} = \mathrm{file}(c) + \sum_k w_k (\tanh(a_k c + b_k) - \tanh b_k)$, with c the command after
@@ -32,7 +30,6 @@ class LearnedThrust(DriveEffect):
     """
 
     name: ClassVar[str] = "learned_thrust"
-    units: ClassVar[Mapping[str, str]] = {}
 
     slope: Float[Array, "hidden thrusters"]
     bias: Float[Array, "hidden thrusters"]
@@ -40,39 +37,27 @@ class LearnedThrust(DriveEffect):
     low: Float[Array, " thrusters"]
     high: Float[Array, " thrusters"]
     lag: Float[Array, " thrusters"]
-    thrusters: tuple[str, ...] = eqx.field(static=True)
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        raise NotImplementedError("A learned term has no neutral value before it is built.")
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return ()
 
     @property
     def network(self) -> tuple[Array, ...]:
         """What is trained, besides `lag`."""
         return self.slope, self.bias, self.weight
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """What a vehicle file names: the thrusters."""
-        return self.thrusters
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name."""
-        return {name: np.asarray(getattr(self, name)) for name in (*_HIDDEN, "low", "high", "lag")}
+    @classmethod
+    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
+        del target
+        if inputs != craft.thruster_names:
+            raise ValueError("is a learned thrust and needs all thrusters as `inputs`.")
 
     @classmethod
-    def restored(cls, arrays: Mapping[str, np.ndarray], thrusters: tuple[str, ...]) -> Self:
-        """The term whose `arrays()` these were; ValueError where they do not fit together."""
-        term = learned_thrust(thrusters, arrays["low"], arrays["high"], hidden=len(arrays["weight"]))
-        shapes = {name: value.shape for name, value in term.arrays().items()}
-        if shapes != {name: np.shape(value) for name, value in arrays.items()}:
-            raise ValueError(f"its arrays are not {shapes}")
-        return cls(**{name: jnp.asarray(arrays[name], float) for name in shapes}, thrusters=thrusters)
+    def restored(
+        cls, arrays: Mapping[str, np.ndarray], craft: Craft, target: str | None, inputs: tuple[str, ...]
+    ) -> Self:
+        del craft, target
+        hidden, count = len(arrays["weight"]), len(inputs)
+        shapes = dict.fromkeys(("low", "high", "lag"), (count,))
+        check_shapes(arrays, {**shapes, **dict.fromkeys(("slope", "bias", "weight"), (hidden, count))})
+        return cls(**{name: jnp.asarray(value) for name, value in arrays.items()}, inputs=inputs)
 
     def __call__(self, drive: Drive) -> Drive:
         curve = Curve(tuple(self.slope), tuple(self.bias), tuple(self.weight), self.low, self.high)
@@ -103,5 +88,5 @@ def learned_thrust(
         low=jnp.asarray(low),
         high=jnp.asarray(high),
         lag=jnp.zeros(count),
-        thrusters=tuple(thrusters),
+        inputs=tuple(thrusters),
     )
