@@ -46,6 +46,7 @@ def knots_with(heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random
             rotation=np.tile(np.eye(3), (*SHAPE, 1, 1)),
             velocity=np.zeros((*SHAPE, 6)),
             signals=signals,
+            played={},
         ),
     )
 

@@ -356,6 +356,7 @@ class Plan:
     train: float
     test: float
     severity: tuple[float, float] | None = None
+    noises: tuple[float, ...] = (1.0,)  # factors on the noise, one drawn for each case
 
 
 KINDS = ("nulls", "singles", "pairs", "outside", "misfit")
@@ -365,7 +366,7 @@ SEVERITIES = {
     "outside": (1.8, 8.0),
     "misfit": (2.0, 8.0),
 }
-DISTURBED = {"nulls": 0.34, "misfit": 0.5}
+DISTURBED = {"nulls": 0.34, "misfit": 1.0}
 
 
 class Designer:
@@ -422,6 +423,7 @@ class Designer:
         share = DISTURBED.get(kind, 0.2)
         disturbed = int((number + 1) * share) > int(number * share)
         floor = float(self.rng.uniform(1.3, 2.5)) if disturbed else 1.0
+        noise = float(self.rng.choice(self.plan.noises))
         while True:
             hidden = self.hidden(kind, vehicle, severity, floor, excitation)
             try:
@@ -429,7 +431,7 @@ class Designer:
                     folder, ship, hidden, int(self.rng.integers(2**31)),
                     duration_train=self.plan.train, duration_test=self.plan.test,
                     disturbance=disturbance_level(vehicle, floor, excitation),
-                    misfit=kind == "misfit", excitation=excitation,
+                    misfit=kind == "misfit", excitation=excitation, noise=noise,
                 )  # fmt: skip
             except Unruly:
                 continue
@@ -441,7 +443,7 @@ class Designer:
 def design(out: Path, plan: Plan, vehicles: Sequence[str], seed: int) -> None:
     """Writes a balanced set of cases and prints a line for each.
 
-    A third of the nulls, half of the misfits and a fifth of the rest are disturbed; a tenth is
+    A third of the nulls, all misfits and a fifth of the rest are disturbed; a tenth is
     excited weakly, a tenth one axis at a time.
     """
     designer = Designer(plan, vehicles, seed)

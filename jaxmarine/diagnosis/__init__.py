@@ -1,6 +1,7 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
 from ._diagnose import diagnose as diagnose
+from ._diagnose import gain_of as gain_of
 from ._result import (
     Alternative as Alternative,
 )

@@ -22,7 +22,7 @@ from ._kinematics import contradiction
 from ._knots import knots, missing_wrench
 from ._learn import learn
 from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
-from ._result import Diagnosis, Finding, Verdict
+from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
 from ._search import STEPS, Found, Round, dispersion, needed, penalty, search
 from ._signals import Signals
@@ -36,8 +36,9 @@ FEWEST_SAMPLES = 12  # of a window
 SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
-# all of them did where an unknown dependence alone leaves less than this share of what they leave.
-STAND_IN = 0.35
+# all of them did where an unknown dependence alone leaves less than this share of what they leave, or than
+# the second share of what they leave together with unknown dependences.
+STAND_IN, WITH_UNKNOWN = 0.35, 0.7
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
@@ -94,7 +95,8 @@ def diagnose(
     if now.model.members and not now.white:
         alone = judged(bench, start)
         left = _dependences(bench, alone, bench.vehicle)
-        if _left_over(bench, alone, left) < STAND_IN * _left_over(bench, now, unknown):
+        share = WITH_UNKNOWN if unknown else STAND_IN
+        if _left_over(bench, alone, left) < share * _left_over(bench, now, unknown):
             # Nothing that was named is the cause: it only took the shape of what is unknown.
             now, unknown, dense = alone, left, False
     model = now.model
@@ -387,6 +389,35 @@ def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) ->
 
 
 # --- the gain ------------------------------------------------------------------------------------
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def gain_of(
+    vehicle: Vehicle,
+    train: Sequence[Log] | Log,
+    test: Log,
+    causes: Sequence[Placed],
+    catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
+    window: float | None = None,
+) -> Gain:
+    """What given causes buy on the test log, refitted from their values: what naming them is worth.
+
+    As `diagnose` measures it, without a search; raises ValueError where the catalogue lacks a cause.
+    """
+    logs = (train,) if isinstance(train, Log) else tuple(train)
+    bench = _workbench(vehicle, logs, catalogue, window)
+    labels = [(suspect.effect.name, suspect.target) for suspect in bench.layout.suspects]
+    model = bench.start()
+    for cause in causes:
+        i = labels.index((cause.effect.name, cause.target))
+        flat = np.concatenate([np.ravel(value) for value in cause.effect.parameters().values()])
+        value = flat[[slots[0] for slots in bench.layout.suspects[i].slots.values()]]
+        since = None
+        if cause.since is not None:
+            which = next((k for k, log in enumerate(logs) if log.name == cause.since_log), 0)
+            since = Beginning(which, cause.since)
+        model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
+    return _measured_gain(bench, bench.refine(model), (), test)[0]
 
 
 def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from .._types import ATTITUDE
+from .._types import ATTITUDE, POSITION
 from ..networks import LearnedWrench, learned_wrench
 from ._knots import Knots, missing_wrench
-from ._unknown import Dependence
+from ._unknown import Dependence, resolved
 
 HIDDEN = 12
 RESTARTS = 4
@@ -23,6 +23,24 @@ def _inputs(k: Knots, names: tuple[str, ...]) -> np.ndarray:
         values = k.places.signals[name]
         out += [np.sin(values), np.cos(values)] if name in ATTITUDE else [values]
     return np.stack(out, axis=-1)
+
+
+def _hidden(k: Knots, names: tuple[str, ...]) -> int:
+    """Hidden units: two bumps of the regression make a turn, which takes a unit."""
+    places = [resolved(name, k.places.signals[name]) // 2 for name in names if name in POSITION]
+    return max(HIDDEN, *places, 0)
+
+
+def _spread(term: LearnedWrench, key) -> LearnedWrench:
+    """The term with its units' steps spread over the range, as steep as they lie close.
+
+    Units of slope one are nearly straight lines over the range: fitted from there they do not follow a
+    force that turns often.
+    """
+    hidden, inputs = term.weight_1.shape
+    centre = jax.random.uniform(key, (hidden, inputs), minval=-1.0, maxval=1.0)
+    weight = hidden / 4 * term.weight_1
+    return term.with_network((weight, -(weight * centre).sum(-1), term.weight_2, term.bias_2))
 
 
 def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
@@ -43,18 +61,20 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
     at the price of a curve fit. The best of several restarts is kept.
     """
-    size = np.nanstd(missing_wrench(k).wrench, axis=0)
+    sizes = {one.axis: float(np.nanstd(missing_wrench(k).wrench[:, one.axis])) for one in found}
     a, b = (jnp.asarray(x) for x in _quadratic(k))
     inputs = [_inputs(k, one.signals) for one in found]
     ranges = [(x.min((0, 1)), x.max((0, 1))) for x in inputs]
     windows, count = k.places.t.shape
+    hidden = [_hidden(k, one.signals) for one in found]
 
     def built(key) -> tuple[LearnedWrench, ...]:
         keys = jax.random.split(key, len(found))
-        return tuple(
-            learned_wrench(one.dof, one.signals, thrusters, low, high, float(size[one.axis]), key, HIDDEN)
-            for one, (low, high), key in zip(found, ranges, keys, strict=True)
-        )
+        out = []
+        for one, (low, high), units, key in zip(found, ranges, hidden, keys, strict=True):
+            term = learned_wrench(one.dof, one.signals, thrusters, low, high, sizes[one.axis], key, units)
+            out.append(_spread(term, key) if units > HIDDEN else term)
+        return tuple(out)
 
     def residual(networks, args):
         start, inputs, a, b = args

@@ -16,6 +16,9 @@ from ..vehicle import Vehicle
 
 Signals = dict[str, Float[np.ndarray, "windows knots"]]
 
+# Widths of the play operators, as shares of the largest command in the logs.
+PLAYS = (0.1, 0.2, 0.4, 0.8)
+
 
 @dataclasses.dataclass(frozen=True)
 class Places:
@@ -24,6 +27,9 @@ class Places:
     - `t` in its log's own time [s], `log` [windows]; `rotation` from body to world axes.
     - `velocity`: linear [m/s] and angular [rad/s] in body axes.
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
+    - `played`: per thruster what play operators of several widths make of its command, without the
+      command and in shares of their width. Every hysteresis without creep is a sum of such operators
+      (Prandtl-Ishlinskii; Visintin 1994, ch. III).
     """
 
     t: Float[np.ndarray, "windows knots"]
@@ -31,6 +37,7 @@ class Places:
     rotation: Float[np.ndarray, "windows knots 3 3"]
     velocity: Float[np.ndarray, "windows knots 6"]
     signals: Signals
+    played: dict[str, Float[np.ndarray, "windows knots plays"]]
 
 
 def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
@@ -42,6 +49,8 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     t = np.zeros((len(log), count))
     state = np.zeros((len(log), count, 12))
     command = np.zeros((len(log), count, len(vehicle.thruster_names)))
+    behind = np.zeros((*command.shape, len(PLAYS)))
+    widths = np.outer(_largest(data, command.shape[-1]), PLAYS)
     for i, source in enumerate(data.logs):
         here = log == i
         track = smooth_states(source, vehicle.dof)
@@ -49,7 +58,9 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
         if source.commands is not None:
-            command[here] = np.asarray(source.commands)[sample][..., : command.shape[-1]]
+            given = np.asarray(source.commands)[:, : command.shape[-1]]
+            command[here] = given[sample]
+            behind[here] = _played(given, widths)[sample]
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
     signals = {name: state[:, :, i] for i, name in enumerate(names) if name in SIGNALS}
     signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.thruster_names)}
@@ -63,4 +74,24 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
         rotation=np.asarray(turns),
         velocity=state[:, :, 6:],
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
+        played={name: behind[:, :, i] for i, name in enumerate(vehicle.thruster_names)},
     )
+
+
+def _largest(data: Cut, thrusters: int) -> Float[np.ndarray, " thrusters"]:
+    """The largest command of each thruster, 1 where it has none."""
+    given = [np.abs(log.commands[:, :thrusters]) for log in data.logs if log.commands is not None]
+    most = np.concatenate([np.zeros((1, thrusters)), *given]).max(axis=0)
+    return np.where(most > 0, most, 1.0)
+
+
+def _played(
+    commands: Float[np.ndarray, "samples thrusters"], widths: Float[np.ndarray, "thrusters plays"]
+) -> Float[np.ndarray, "samples thrusters plays"]:
+    """How far a play of each width is behind its command, in shares of the width, from -1/2 to 1/2."""
+    out = np.empty((*commands.shape, widths.shape[1]))
+    now = np.repeat(commands[0][:, None], widths.shape[1], axis=1)
+    for k, command in enumerate(commands):
+        now = np.clip(now, command[:, None] - 0.5 * widths, command[:, None] + 0.5 * widths)
+        out[k] = (now - command[:, None]) / widths
+    return out

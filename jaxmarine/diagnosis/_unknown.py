@@ -13,15 +13,17 @@ from jaxtyping import Float
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
 from ._score import blocks, step_with, t_value
-from ._signals import Signals
+from ._signals import Places, Signals
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
 SIGMAS = 3.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range.
+# Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
+# of a place as many as it resolves, two knots to a bump.
 HARMONICS = 6
 BUMPS = 16
+MOST_BUMPS = 48
 # Pull to zero of a regressor's coefficient, relative to what the data say of it.
 RIDGE = 1e-3
 
@@ -46,6 +48,14 @@ class Dependence:
         return DOFS[self.axis]
 
 
+def resolved(name: str, values: np.ndarray) -> int:
+    """Bumps over the range of a signal: of a place as many as the knots resolve."""
+    if name not in POSITION:
+        return BUMPS
+    step = 2.0 * float(np.median(np.abs(np.diff(values, axis=1)))) / max(float(np.ptp(values)), 1e-12)
+    return int(np.clip(1.0 / max(step, 1.0 / MOST_BUMPS), BUMPS, MOST_BUMPS))
+
+
 def _single(name: str, values: np.ndarray) -> np.ndarray:
     """Shapes of one signal.
 
@@ -57,22 +67,27 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
         return np.concatenate([np.sin(turns), np.cos(turns)], axis=-1)
     if name in (*POSITION, "t", *ATTITUDE):
         low, high = np.quantile(values, [0.005, 0.995])
-        x = (np.clip(values, low, high) - low) / max(high - low, 1e-12) * (BUMPS - 1)
-        bumps = np.exp(-0.5 * (x[..., None] - np.arange(BUMPS)) ** 2)
-        return np.concatenate([x[..., None] / BUMPS - 0.5, (x[..., None] / BUMPS - 0.5) ** 2, bumps], axis=-1)
+        x = (np.clip(values, low, high) - low) / max(high - low, 1e-12)
+        count = resolved(name, values)
+        bumps = np.exp(-0.5 * ((count - 1) * x[..., None] - np.arange(count)) ** 2)
+        return np.concatenate([x[..., None] - 0.5, (x[..., None] - 0.5) ** 2, bumps], axis=-1)
     x = np.clip(values / max(float(np.quantile(np.abs(values), 0.99)), 1e-12), -1.5, 1.5)
     return np.stack([x, x**2, x**3, np.abs(x) * x], axis=-1)
 
 
-def features(names: tuple[str, ...], signals: Signals) -> np.ndarray:
-    """Shapes of each signal, and for every pair the products of harmonics, or of their first two shapes."""
-    singles = [_single(name, signals[name]) for name in names]
-    heads = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :2] for shapes in singles]
+def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarray:
+    """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
+
+    Commands also have their plays: a thrust may depend on where its command comes from.
+    """
+    singles = [_single(name, places.signals[name]) for name in names]
+    firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
     products = [
         (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
-        for a, b in itertools.combinations(heads, 2)
+        for a, b in itertools.combinations(firsts, 2)
     ]
-    return np.concatenate([*singles, *products], axis=-1)
+    played = [places.played[name] for name in names if name in places.played]
+    return np.concatenate([*singles, *products, *played], axis=-1)
 
 
 def _left_out(
@@ -138,12 +153,12 @@ class _Ledger:
 
 
 def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
-    signals = ledger.k.places.signals
+    places = ledger.k.places
 
     def saved(names: tuple[str, ...]) -> np.ndarray:
-        return ledger.saved(axis, features(names, signals))
+        return ledger.saved(axis, features(names, places))
 
-    singles = {name: saved((name,)) for name in signals}
+    singles = {name: saved((name,)) for name in places.signals}
     order = sorted(singles, key=lambda name: -singles[name].sum())
     chosen: tuple[str, ...] = (order[0],)
     gain = singles[order[0]]
@@ -201,7 +216,9 @@ def dependences(
         left.remove(axis)
         if t_value(gain) < SIGMAS or not _causal(ledger, axis, names, gain, undisturbed):
             continue
-        values = features(names, k.places.signals)
+        # What its few shapes leave would look like a force on an axis that this one is coupled to.
+        shapes = (features(names, k.places, heads) for heads in (2, 4))
+        values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
         found.append(Dependence(axis, names, tied, float(gain.sum()), values))
         ledger.add(axis, ledger.wrench(axis, values))
     return tuple(found)
@@ -213,7 +230,9 @@ def _causal(
     """Whether a dependence also shows on velocities that no disturbance has moved."""
     if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
         return True
-    saved = ledger.saved(axis, features(names, ledger.k.places.signals | undisturbed))
+    places = ledger.k.places
+    moved = dataclasses.replace(places, signals=places.signals | undisturbed)
+    saved = ledger.saved(axis, features(names, moved))
     return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 

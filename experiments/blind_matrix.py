@@ -1,0 +1,331 @@
+"""Can the diagnosis be trusted? Hundreds of logs with a known answer, graded.
+
+usage: python -m experiments.blind_matrix --out DIR [--blocks 25] [--jobs 2] [--seed 1] [--quick]
+
+A block is 24 logs: 6 with nothing hidden, 8 with one effect, 4 with two, 3 with an effect outside the
+catalogue, 3 with one effect, a vehicle file that is 15 % wrong and a disturbance. Vehicles, effects,
+magnitudes, noise and manoeuvres are drawn at random from shuffled decks. The simulator and its step are
+not those of the diagnosis (`experiments/blind`). It goes on where it was cut. Writes results.json,
+results.md and the figures reliability and detection.
+"""
+
+import itertools
+import json
+import multiprocessing
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from rich.progress import Progress
+from statsmodels.stats.proportion import proportion_confint
+
+import jaxmarine as jm
+from experiments.blind import cases, grading
+from jaxmarine.diagnosis import gain_of
+from jaxmarine.effects import place
+from jaxmarine.vehicle_io import suspect_named
+
+BLOCK = {"nulls": 6, "singles": 8, "pairs": 4, "outside": 3, "misfit": 3}
+NOISES = (0.5, 1.0, 2.0)
+# Magnitudes: from hardly to be seen to gross; what counts is 30 % more prediction error and above.
+SEVERITY = {"singles": (1.05, 8.0)}
+DETECTABLE = 1.3
+SHIPS = ("bluerov2_heavy", "cybership2", "minesniper", "otter", "tethra")
+CHUNK = 15  # logs for one process: its programs are compiled once for a vehicle
+Row = dict[str, Any]
+
+# What is to be reached, in the order of the table: text, kind, graded by, share.
+TARGETS = (
+    ("one effect: first name right", "single", "first", 0.98),
+    ("one effect: whole answer right", "single", "whole", 0.95),
+    ("two effects: both and nothing else", "pair", "whole", 0.90),
+    ("nothing hidden: `nothing_found`", "null", "whole", 0.98),
+    ("outside the catalogue: said to be unknown", "outside", "first", 0.95),
+    ("outside the catalogue: a right signal named", "outside", "signal", 0.80),
+    ("wrong file, disturbed: first structural name right", "misfit", "first", 0.95),
+    ("wrong file, disturbed: whole answer right", "misfit", "whole", 0.85),
+)
+
+
+# --- the logs -------------------------------------------------------------------------------------
+
+
+def written(out: Path, block: int, seed: int, ships: Sequence[str], content: dict[str, int]) -> None:
+    """Writes the cases of a block that are not there yet: all, or none of them."""
+    done = out / f"block_{block:02d}.done"
+    if done.exists():
+        return
+    counts = [content[kind] for kind in cases.KINDS]
+    plan = cases.Plan(*counts, train=300.0, test=150.0, noises=NOISES)
+    designer = cases.Designer(plan, ships, seed=seed * 1000 + block)
+    for kind, count in content.items():
+        low, high = SEVERITY.get(kind, cases.SEVERITIES.get(kind, (1.0, 1.0)))
+        for number, severity in enumerate(cases.spread_severities(count, low, high, designer.rng)):
+            folder = out / f"{kind.removesuffix('s')}_{block:02d}_{number}"
+            designer.write(folder, kind, number, float(severity))
+    done.touch()
+
+
+# --- one log --------------------------------------------------------------------------------------
+
+
+def true_gain(folder: Path, vehicle: jm.Vehicle, train: jm.Log, test: jm.Log, answer: Row) -> float:
+    """Held-out error ratio of the true structure, refitted from the true values."""
+    causes = []
+    for hidden in answer["findings"]:
+        suspect = suspect_named(vehicle, *hidden["accept"][0])
+        values = {name: x for name, x in hidden["parameters"].items() if name in suspect.slots}
+        effect = place(suspect, vehicle, values)
+        causes.append(jm.Placed(effect, suspect.target, hidden["since"], train.name))
+    return gain_of(vehicle, train, test, causes).ratio
+
+
+def first_is_right(diagnosis: Row) -> float | None:
+    """What the evidences say: the probability that the first name is the right one of those weighed."""
+    named = [f for f in diagnosis["findings"] if f["effect"] != "unknown"]
+    if not named:
+        return None
+    own = named[0]["log_evidence"]
+    others = [a["log_evidence"] - own for a in named[0]["alternatives"]]
+    return float(1.0 / (1.0 + np.exp(np.clip(others, -700, 700)).sum()))
+
+
+def row(folder: Path) -> Row:
+    """One case, diagnosed and graded."""
+    answer = json.loads((folder / "answer.json").read_text())
+    vehicle = jm.load_vehicle(folder / "vehicle.toml")
+    train, test = (jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
+    began = time.perf_counter()
+    diagnosis = jm.diagnose(vehicle, train, test).to_json()
+    seconds = time.perf_counter() - began
+    options = answer["options"]
+    kept = ("vehicle", "excitation", "severity", "floor", "noise", "disturbance", "outside")
+    true_ratio = true_gain(folder, vehicle, train, test, answer) if answer.get("findings") else None
+    return {
+        "case": folder.name,
+        "kind": grading.kind(answer),
+        **{name: options.get(name) for name in kept},
+        "hidden": [f["accept"][0] for f in answer.get("findings", [])] or options.get("outside"),
+        **grading.grade(answer, diagnosis),
+        "since": grading.late(answer, diagnosis),
+        "verdict": diagnosis["verdict"],
+        "found": [[f["effect"], f["target"], f["log_evidence"]] for f in diagnosis["findings"]],
+        "depends_on": diagnosis["residual_after"]["depends_on"],
+        "probability": first_is_right(diagnosis),
+        "parameters": grading.parameter_errors(answer, diagnosis),
+        "ratio": diagnosis["gain"]["ratio"],
+        "true_ratio": true_ratio,
+        "seconds": round(seconds, 2),
+    }
+
+
+def graded(folders: Sequence[Path]) -> int:
+    """Diagnoses some cases of one vehicle and leaves a row beside each."""
+    jax.config.update("jax_enable_x64", True)
+    for folder in folders:
+        whole = json.dumps(row(folder), indent=1) + "\n"
+        (folder / "row.json").write_text(whole)
+    return len(folders)
+
+
+def chunks(out: Path) -> Iterator[list[Path]]:
+    """Cases without a row, some of one vehicle at a time."""
+    waiting: dict[str, list[Path]] = {}
+    for answer in sorted(out.glob("*/answer.json")):
+        if not (answer.parent / "row.json").exists():
+            ship = json.loads(answer.read_text())["options"]["vehicle"]
+            waiting.setdefault(ship, []).append(answer.parent)
+    for folders in waiting.values():
+        for k in range(0, len(folders), CHUNK):
+            yield folders[k : k + CHUNK]
+
+
+# --- what comes of it -----------------------------------------------------------------------------
+
+
+def detectable(r: Row) -> bool:
+    return r["kind"] == "null" or r["severity"] >= DETECTABLE
+
+
+def share(rows: Sequence[Row], key: str) -> Row:
+    """How many are right, of how many, with Wilson's interval of 95 %."""
+    right, count = sum(bool(r[key]) for r in rows), len(rows)
+    bounds = proportion_confint(right, count, method="wilson") if count else (0.0, 1.0)
+    low, high = (float(np.asarray(bound)) for bound in bounds)
+    return {"right": right, "of": count, "low": low, "high": high}
+
+
+def parameters(rows: Sequence[Row]) -> tuple[list[float], list[bool], list[str]]:
+    """Relative errors of parameters that are not zero, whether the 95 % interval holds the truth, names."""
+    errors, covered, names = [], [], []
+    for r in rows:
+        for p in r["parameters"]:
+            off = abs(p["value"] - p["true"])
+            covered.append(off <= 1.96 * p["std"])
+            names.append(p["parameter"])
+            if p["true"]:
+                errors.append(off / abs(p["true"]))
+    return errors, covered, names
+
+
+def summary(rows: Sequence[Row]) -> Row:
+    """All numbers of the table."""
+    seen = [r for r in rows if detectable(r)]
+    out: Row = {"logs": len(rows), "detectable": len(seen), "targets": []}
+    for text, kind, key, least in TARGETS:
+        found = share([r for r in seen if r["kind"] == kind], key)
+        met = found["of"] > 0 and found["right"] >= least * found["of"]
+        out["targets"].append({"text": text, **found, "at_least": least, "met": met})
+    errors, covered, _ = parameters(seen)
+    out["parameter_error_median"] = float(np.median(errors)) if errors else None
+    out["covered"] = {"right": int(sum(covered)), "of": len(covered)}
+    ratios = [r["ratio"] / r["true_ratio"] for r in seen if r["true_ratio"]]
+    out["held_out_over_true_median"] = float(np.median(ratios)) if ratios else None
+    begun = [r for r in seen if r["since"] is not None]
+    out["since_within_12_s"] = share(begun, "since")
+    out["seconds_median"] = float(np.median([r["seconds"] for r in rows])) if rows else None
+    out["missed"] = [r for r in seen if not r["whole"]]
+    return out
+
+
+def table(s: Row) -> str:
+    """The summary as Markdown."""
+
+    def percent(x: float) -> str:
+        return f"{100 * x:.1f}"
+
+    lines = [f"{s['logs']} logs, {s['detectable']} of them with nothing hidden or detectable.", ""]
+    lines += ["| | right | of | % (95 % interval) | at least % | met |", "|---|---|---|---|---|---|"]
+    for t in s["targets"]:
+        rate = percent(t["right"] / t["of"]) if t["of"] else "–"
+        interval = f"{rate} ({percent(t['low'])} to {percent(t['high'])})"
+        met = "yes" if t["met"] else "no"
+        cells = (t["text"], t["right"], t["of"], interval, f"{100 * t['at_least']:.0f}", met)
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    lines.append("")
+    if s["parameter_error_median"] is not None:
+        median, c = percent(s["parameter_error_median"]), s["covered"]
+        lines.append(f"- Error of named effects' parameters, median: {median} %.")
+        lines.append(f"- Their 95 % intervals hold the truth in {c['right']} of {c['of']}.")
+    if s["held_out_over_true_median"] is not None:
+        ratio = s["held_out_over_true_median"]
+        lines.append(f"- 5 s error on held-out data over that of the true structure, median: {ratio:.3f}.")
+    begun = s["since_within_12_s"]
+    lines.append(f"- Beginnings within 12 s: {begun['right']} of {begun['of']}.")
+    lines += ["", "| not right | vehicle | severity | hidden | found | depends on |"]
+    lines += ["|---|---|---|---|---|---|"]
+    for r in s["missed"]:
+        hidden = [h if isinstance(h, str) else ":".join(filter(None, h)) for h in r["hidden"] or ["nothing"]]
+        found = [":".join(filter(None, f[:2])) for f in r["found"]] or [r["verdict"]]
+        cells = (
+            r["case"],
+            r["vehicle"],
+            f"{r['severity']:.2f}",
+            *map(", ".join, (hidden, found, r["depends_on"])),
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _saved(plot, path: Path) -> None:
+    for end in ("png", "svg"):
+        plot.savefig(path.with_suffix(f".{end}"), dpi=150)
+    plt.close(plot)
+
+
+def _marked(ax, x: float, found: Row) -> None:
+    """A share with its interval and the number of logs."""
+    rate = found["right"] / found["of"]
+    reach = np.clip([[rate - found["low"]], [found["high"] - rate]], 0.0, 1.0)
+    ax.errorbar([x], [rate], reach, fmt="o", color="#1f6fb5", capsize=3)
+    ax.annotate(f"{found['of']}", (x, rate), xytext=(6, -12), textcoords="offset points", fontsize=8)
+
+
+def reliability(rows: Sequence[Row], path: Path) -> None:
+    """How often the first name is right against how sure the evidences are of it."""
+    said = [r for r in rows if r["probability"] is not None and detectable(r)]
+    plot, ax = plt.subplots(figsize=(5, 4), layout="constrained")
+    ax.plot([0, 1], [0, 1], color="0.6", lw=1)
+    for low, high in itertools.pairwise([0.0, 0.5, 0.9, 0.99, 1.0 + 1e-9]):
+        inside = [r for r in said if low <= r["probability"] < high]
+        if inside:
+            _marked(ax, float(np.mean([r["probability"] for r in inside])), share(inside, "first"))
+    ax.set(
+        xlabel="probability of the first name, by the evidences",
+        ylabel="share of first names that are right",
+        xlim=(0, 1.02),
+        ylim=(0, 1.05),
+    )
+    ax.spines[["top", "right"]].set_visible(False)
+    _saved(plot, path)
+
+
+def detection(rows: Sequence[Row], path: Path) -> None:
+    """How often one hidden effect is named, over its severity."""
+    singles = [r for r in rows if r["kind"] == "single"]
+    plot, ax = plt.subplots(figsize=(5.5, 4), layout="constrained")
+    ax.axvline(DETECTABLE, color="0.6", lw=1, ls="--")
+    for low, high in itertools.pairwise(np.geomspace(1.0, 10.0, 10)):
+        inside = [r for r in singles if low <= r["severity"] < high]
+        if inside:
+            _marked(ax, float(np.sqrt(low * high)), share(inside, "first"))
+    ax.set(
+        xscale="log",
+        xlabel="5 s prediction error with the effect left out, over the floor",
+        ylabel="share named first",
+        ylim=(0, 1.05),
+    )
+    ax.set_xticks([1.1, 1.3, 2, 3, 5, 8], ["1.1", "1.3", "2", "3", "5", "8"])
+    ax.minorticks_off()
+    ax.spines[["top", "right"]].set_visible(False)
+    _saved(plot, path)
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for cases, rows, results and figures.")],
+    blocks: Annotated[int, typer.Option(min=1, help="Blocks of 24 logs.")] = 25,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all draws; another one gives other logs.")] = 1,
+    quick: Annotated[bool, typer.Option("--quick", help="Three logs of one craft.")] = False,
+) -> None:
+    """Draws logs that hide something, diagnoses and grades them."""
+    folder = out / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    ships, content = SHIPS, BLOCK
+    if quick:
+        ships, blocks = ("cybership2",), 1
+        content = {"nulls": 1, "singles": 1, "pairs": 0, "outside": 1, "misfit": 0}
+    spawn = multiprocessing.get_context("spawn")
+    with Progress(transient=True) as bar, ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+        drawing = bar.add_task("drawing logs", total=blocks)
+        drawn = [pool.submit(written, folder, block, seed, ships, content) for block in range(blocks)]
+        for future in as_completed(drawn):
+            future.result()
+            bar.advance(drawing)
+        waiting = list(chunks(folder))
+        diagnosing = bar.add_task("diagnosing", total=sum(map(len, waiting)))
+        for future in as_completed([pool.submit(graded, folders) for folders in waiting]):
+            bar.advance(diagnosing, future.result())
+    rows = [json.loads(path.read_text()) for path in sorted(folder.glob("*/row.json"))]
+    found = summary(rows)
+    (out / "results.json").write_text(json.dumps({"seed": seed, **found, "rows": rows}, indent=1) + "\n")
+    (out / "results.md").write_text(table(found))
+    reliability(rows, out / "reliability.png")
+    detection(rows, out / "detection.png")
+    print((out / "results.md").read_text())
+    counts = Counter(r["kind"] for r in rows)
+    print(", ".join(f"{kind} {count}" for kind, count in sorted(counts.items())))
+
+
+if __name__ == "__main__":
+    typer.run(main)
