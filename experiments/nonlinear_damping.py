@@ -46,6 +46,7 @@ AXES = ("surge", "sway", "yaw")
 PLACES = np.array([0, 1, 5])
 DT, HORIZON = 0.2, 10.0  # [s]
 HEAVY = 0.3  # the wrong file has so much more inertia on each axis
+WIDTH, HIDDEN = 16, 6  # of the damping network, of each lumped one
 SPREAD = 3.0  # prior of the weights
 HELD = 1e-6  # prior of what is not fitted, in its own units: so small that it stays
 LEVELS = (0.1, 0.05, 0.02)  # of what there is to save: costs at which the solvers are compared
@@ -55,18 +56,15 @@ BATCH, BLOCK = 128, 10  # samples in a mini-batch, steps of Levenberg-Marquardt 
 
 @dataclasses.dataclass(frozen=True)
 class Size:
-    """Lengths of logs [s], steps of a fit, units of the damping network and of each lumped one,
-    epochs of Adam, blocks of Levenberg-Marquardt."""
+    """Length of a log [s], steps of a fit, epochs of Adam and blocks of Levenberg-Marquardt."""
 
     duration: float = 1000.0
     steps: int = 30
-    width: int = 16
-    hidden: int = 6
     epochs: int = 3000
     blocks: int = 12
 
 
-QUICK = Size(duration=60.0, steps=4, width=4, hidden=2, epochs=20, blocks=1)
+QUICK = Size(duration=60.0, steps=4, epochs=20, blocks=1)
 
 
 # --- the plant -----------------------------------------------------------------------------------
@@ -174,14 +172,14 @@ def log_of(truth: jm.Vehicle, commands: Float[np.ndarray, "times thrusters"], se
 # --- the models ----------------------------------------------------------------------------------
 
 
-def extended(vehicle: jm.Vehicle, log: jm.Log, seed: int, width: int) -> jm.Vehicle:
+def extended(vehicle: jm.Vehicle, log: jm.Log, seed: int) -> jm.Vehicle:
     """The vehicle with a damping network that changes nothing yet."""
     nu, size = _sizes(vehicle, log)
-    term = mlp_damping(AXES, np.abs(nu).max(axis=0), size, jax.random.key(seed), width=width, seen=nu)
+    term = mlp_damping(AXES, np.abs(nu).max(axis=0), size, jax.random.key(seed), width=WIDTH, seen=nu)
     return vehicle.place(jm.Placed(term))
 
 
-def parallel(vehicle: jm.Vehicle, log: jm.Log, seed: int, hidden: int) -> jm.Vehicle:
+def parallel(vehicle: jm.Vehicle, log: jm.Log, seed: int) -> jm.Vehicle:
     """The vehicle with one lumped network per axis instead, of velocities and commands (thesis, fig. 4.2)."""
     assert log.commands is not None
     nu, size = _sizes(vehicle, log)
@@ -189,7 +187,7 @@ def parallel(vehicle: jm.Vehicle, log: jm.Log, seed: int, hidden: int) -> jm.Veh
     ends, names = (signals.min(axis=0), signals.max(axis=0)), ("u", "v", "r", *log.thrusters)
     keys = jax.random.split(jax.random.key(seed), len(AXES))
     placed = tuple(
-        jm.Placed(learned_wrench(axis, names, log.thrusters, *ends, float(scale), key, hidden), axis)
+        jm.Placed(learned_wrench(axis, names, log.thrusters, *ends, float(scale), key, HIDDEN), axis)
         for axis, scale, key in zip(AXES, size, keys, strict=True)
     )
     return dataclasses.replace(vehicle, placed=placed)
@@ -473,13 +471,13 @@ def case(truth: jm.Vehicle, seed: int, size: Size) -> Case:
     log = log_of(truth, sailed(size.duration, 100 + seed), 200 + seed)
     inside = course(truth, sailed(size.duration, 300 + seed))
     beyond = course(truth, sailed(size.duration, 400 + seed, beyond=True))
-    start, steps = extended(craft(), log, seed, size.width), size.steps
+    start, steps = extended(craft(), log, seed), size.steps
 
     classical = trained(start, log, ("damping",), steps)
     hybrid = trained(classical["trajectory"].vehicle, log, ("network",), steps)
     # Beside a wrong mass the damping is fitted once more, then a lumped network, or the mass and the network.
     wrong = {"trajectory": fitted(heavier(start), log, ("damping",), "trajectory", steps)}
-    lumped = trained(parallel(wrong["trajectory"].vehicle, log, seed, size.hidden), log, ("network",), steps)
+    lumped = trained(parallel(wrong["trajectory"].vehicle, log, seed), log, ("network",), steps)
     single = trained(wrong["trajectory"].vehicle, log, ("mass", "network"), steps)
     named = {
         "classical": classical,
