@@ -9,7 +9,6 @@ stage, and a lag for each are fitted with the damping to the trajectories (thesi
 """
 
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +26,7 @@ from jaxtyping import Float
 from rich.progress import Progress
 
 import jaxmarine as jm
+from experiments._study import save_figure, spread, study, write_results
 from jaxmarine._types import CHANNELS, SENSORS
 from jaxmarine.examples import operator
 from jaxmarine.networks import LearnedThrust, learned_thrust
@@ -169,8 +169,7 @@ def table(runs: list[dict[str, Any]], names: tuple[str, ...]) -> str:
     """One line per thruster: median and range over the seeds."""
 
     def cell(name: str, key: str, scale: float, digits: int) -> str:
-        values = scale * np.array([run[name][key] for run in runs])
-        return f"{np.median(values):.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
+        return spread([scale * run[name][key] for run in runs], digits)
 
     lines = [
         "| thruster | file: rms % | learned: rms % | learned: worst % | lag true s | lag learned s |",
@@ -203,9 +202,7 @@ def figure(truth: jm.Vehicle, fits: list[jm.Fit], logs: list[jm.Log], path: Path
         ax.set(title=name, xlabel="command [1]", ylabel="thrust [N]")
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
-    for end in ("png", "svg"):
-        plot.savefig(path.with_suffix(f".{end}"), dpi=150)
-    plt.close(plot)
+    save_figure(plot, path)
 
 
 def main(
@@ -214,26 +211,24 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="One short log, few steps.")] = False,
 ) -> None:
     """Learns the thrust and the lag of every propeller from a log in which one is fouled."""
-    jax.config.update("jax_enable_x64", True)
-    out.mkdir(parents=True, exist_ok=True)
     duration, steps, seeds = (120.0, 15, 1) if quick else (600.0, 60, seeds)
-    truth = craft()
-    fits, logs, runs = [], [], []
-    with Progress(transient=True) as bar:
-        for seed in bar.track(range(seeds), description="logs"):
-            began = time.process_time()
-            log = recorded(truth, duration, seed)
-            fit = fitted(extended(believed(truth), log), log, steps)
-            logs.append(log)
-            fits.append(fit)
-            runs.append(judged(truth, fit, log) | {"seed": seed, "cpu_s": time.process_time() - began})
-    jm.save_vehicle(fits[0].vehicle, out / "learned.toml")
-    names = truth.thruster_names
-    worst = max(run[names[FOULED]]["learned_rms_grid"] for run in runs)
-    results = {"runs": runs, "duration_s": duration, "target": TARGET, "met": bool(worst <= TARGET)}
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-    (out / "results.md").write_text(table(runs, names))
-    figure(truth, fits, logs, out / "thrust.png")
+    with study(out, quick):
+        truth = craft()
+        fits, logs, runs = [], [], []
+        with Progress(transient=True) as bar:
+            for seed in bar.track(range(seeds), description="logs"):
+                began = time.process_time()
+                log = recorded(truth, duration, seed)
+                fit = fitted(extended(believed(truth), log), log, steps)
+                logs.append(log)
+                fits.append(fit)
+                runs.append(judged(truth, fit, log) | {"seed": seed, "cpu_s": time.process_time() - began})
+        jm.save_vehicle(fits[0].vehicle, out / "learned.toml")
+        names = truth.thruster_names
+        worst = max(run[names[FOULED]]["learned_rms_grid"] for run in runs)
+        results = {"runs": runs, "duration_s": duration, "target": TARGET, "met": bool(worst <= TARGET)}
+        write_results(out, results, table(runs, names))
+        figure(truth, fits, logs, out / "thrust")
 
 
 if __name__ == "__main__":

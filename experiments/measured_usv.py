@@ -1,6 +1,6 @@
 """A boat's measured runs: from published coefficients to a fitted model and to what is wrong with a log.
 
-usage: python experiments/measured_usv.py --data ../shared/data/vtec-s3-usv --out DIR [--quick]
+usage: python -m experiments.measured_usv --data ../shared/data/vtec-s3-usv --out DIR [--quick]
 
 Fits the VTec S-III of `usv/` to the runs of `train/`, chooses among candidates by leaving runs out,
 measures open-loop errors on `test/` once, and diagnoses each run of `defects/` and `test/` by itself.
@@ -8,7 +8,6 @@ measures open-loop errors on `test/` once, and diagnoses each run of `defects/` 
 
 import argparse
 import dataclasses
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxmarine as jm
+from experiments._study import ScalarEffect, write_results
 from jaxmarine._types import CHANNELS as NAMES
 from jaxmarine._types import Scalar, Wrench
 from jaxmarine.effects import CATALOGUE, Craft, Motion, Suspect, WrenchEffect, place
@@ -76,21 +76,7 @@ Errors = Float[np.ndarray, "times 3"]
 # --- effects that the catalogue lacks ------------------------------------------------------------
 
 
-class BoatEffect(WrenchEffect):
-    """A wrench of scalar numbers that are zero where it changes nothing; one suspect has them all."""
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(**{name: jnp.zeros(()) for name in cls.units})
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return (Suspect(cls, None, {name: (i,) for i, name in enumerate(cls.units)}),)
-
-
-class AdvanceLoss(BoatEffect):
+class AdvanceLoss(ScalarEffect):
     """Thrust lost to the flow past a propeller: `per_speed` |c| u_c, with u_c the flow along it. Neutral: 0.
 
     Per thruster, c its command, u_c = u - y r at its place (0, y). Unlike `inflow_loss`, where thrust falls
@@ -110,7 +96,7 @@ class AdvanceLoss(BoatEffect):
         return jnp.zeros(6).at[0].set(-lost.sum()).at[5].set((y * lost).sum())
 
 
-class TurnLift(BoatEffect):
+class TurnLift(ScalarEffect):
     """Lift of a hull that turns at speed: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
 
     Source: the published model scales Y_r and N_r with the speed; Fossen (2021), sec. 6.5.
@@ -128,7 +114,7 @@ class TurnLift(BoatEffect):
         return jnp.zeros(6).at[1].set(-self.Y_ur * u * r).at[5].set(-self.N_ur * jnp.abs(u) * r)
 
 
-class SteadyWind(BoatEffect):
+class SteadyWind(ScalarEffect):
     """A push in surge that is constant in earth axes: X = north cos(psi) + east sin(psi). Neutral: 0.
 
     Source: Fossen (2021), sec. 10.1, for a wind far faster than the boat. Sway is left out: its push is
@@ -531,14 +517,8 @@ def identified(data: Path, out: Path, quick: bool) -> tuple[jm.Fit, dict]:
     }
     print(results["train_rms"], results["scored_rms"], flush=True)
     figure(fit.vehicle, test, out / "test.png")
-    write(results, out)
+    write_results(out, results, markdown(results))
     return fit, results
-
-
-def write(results: dict, out: Path) -> None:
-    """The results as numbers and as tables."""
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-    (out / "results.md").write_text(markdown(results))
 
 
 def main() -> None:
@@ -557,7 +537,7 @@ def main() -> None:
     for run in [run for folder in ("defects", "test") for run in read(args.data, folder, fit.vehicle)]:
         results["diagnoses"].append(diagnosed(fit.vehicle, run))
         print(run.name, named(results["diagnoses"][-1]), flush=True)
-        write(results, args.out)
+        write_results(args.out, results, markdown(results))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ the training runs and of a test run, which goes where training did not, are comp
 """
 
 import dataclasses
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +30,7 @@ from jaxtyping import Float
 from rich.progress import Progress
 
 import jaxmarine as jm
+from experiments._study import save_figure, spread, study, write_results
 from jaxmarine._types import DOFS
 from jaxmarine.effects import Motion, place
 from jaxmarine.fitting import noise_of
@@ -335,12 +335,12 @@ def trial(seed: int, size: Size) -> Trial:
 # --- what is written -----------------------------------------------------------------------------
 
 
-def spread(values: Sequence[float]) -> str:
+def told(values: Sequence[float]) -> str:
     """Median and range; or how many are no number, because a prediction ran away."""
     away = np.count_nonzero(~np.isfinite(values))
     if away:
         return f"ran away in {away} of {len(values)}"
-    return f"{np.median(values):.3f} ({np.min(values):.3f} to {np.max(values):.3f})"
+    return spread(values, 3)
 
 
 def gathered(results: Sequence[dict], what: str, name: str, horizon: str) -> list[float]:
@@ -381,7 +381,7 @@ def markdown(results: Sequence[dict]) -> str:
         "|---|---|---|---|---|",
     ]
     for name in STYLES:
-        cells = [spread(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
+        cells = [told(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     found = claims(results)
     negative = found["seeds_with_negative_damping_at_rest"]
@@ -398,16 +398,16 @@ def markdown(results: Sequence[dict]) -> str:
         "| fig. 7.5: negative damping about rest in roll and pitch, others plausible | seeds with a "
         "negative slope at rest: " + ", ".join(f"{dof} {n}" for dof, n in negative.items()) + " |",
         "| 500 centres a network | chosen by left-out stretches: "
-        + ", ".join(f"{dof} {spread([r['rbf_centres'][a] for r in results])}" for a, dof in enumerate(DOFS))
+        + ", ".join(f"{dof} {told([r['rbf_centres'][a] for r in results])}" for a, dof in enumerate(DOFS))
         + " |",
         f"| six networks grown to {results[0]['grow_centres']} centres; bar: 10 s | "
-        f"{spread(found['grow_cpu_s'])} s of one core |",
+        f"{told(found['grow_cpu_s'])} s of one core |",
         "| raw inputs, width sqrt(5): relative residual with 60 centres, with all | "
-        f"{spread([r['residual_raw_60'] for r in results])}, "
-        f"{spread([r['residual_raw_all'] for r in results])} |",
+        f"{told([r['residual_raw_60'] for r in results])}, "
+        f"{told([r['residual_raw_all'] for r in results])} |",
         "| scaled inputs, width 2: the same | "
-        f"{spread([r['residual_scaled_60'] for r in results])}, "
-        f"{spread([r['residual_scaled_all'] for r in results])} |",
+        f"{told([r['residual_scaled_60'] for r in results])}, "
+        f"{told([r['residual_scaled_all'] for r in results])} |",
         "| (7.5): a damping matrix | least eigenvalue of its linear part's symmetric part "
         f"{found['least_eigenvalue_of_printed_linear']:.3f}: not dissipative |",
     ]
@@ -416,9 +416,7 @@ def markdown(results: Sequence[dict]) -> str:
 
 def _saved(plot, out: Path, name: str, top: float = 1.0) -> None:
     plot.tight_layout(rect=(0.0, 0.0, 1.0, top))
-    for kind in ("png", "svg"):
-        plot.savefig(out / f"{name}.{kind}", dpi=110)
-    plt.close(plot)
+    save_figure(plot, out / name)
 
 
 def tracks(out: Path, name: str, runs: Sequence[Run], vehicles: dict[str, jm.Vehicle]) -> None:
@@ -510,18 +508,16 @@ def main(
     ] = False,
 ) -> None:
     """Damping of the Minesniper from acoustic positions (thesis, ch. 7)."""
-    jax.config.update("jax_enable_x64", True)
-    out.mkdir(parents=True, exist_ok=True)
-    trials = []
-    with Progress() as progress:
-        for seed in progress.track(range(1 if quick else seeds), description="seeds"):
-            trials.append(trial(seed, QUICK if quick else Size()))
-            results = [t.numbers for t in trials]
-            report = {"quick": quick, "claims": claims(results), "seeds": results}
-            (out / "results.json").write_text(json.dumps(report, indent=1) + "\n")
-            (out / "results.md").write_text(markdown(results))
-    jm.save_vehicle(trials[0].vehicles[RBF], out / "minesniper_rbf.toml")
-    figures(out, trials)
+    with study(out, quick):
+        trials = []
+        with Progress() as progress:
+            for seed in progress.track(range(1 if quick else seeds), description="seeds"):
+                trials.append(trial(seed, QUICK if quick else Size()))
+                results = [t.numbers for t in trials]
+                report = {"quick": quick, "claims": claims(results), "seeds": results}
+                write_results(out, report, markdown(results))
+        jm.save_vehicle(trials[0].vehicles[RBF], out / "minesniper_rbf.toml")
+        figures(out, trials)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,10 @@ parameters (sec. 4.2); mini-batches with Adam against Levenberg-Marquardt.
 """
 
 import dataclasses
-import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -33,8 +32,9 @@ from jaxtyping import Array, Bool, Float
 from rich.progress import Progress
 
 import jaxmarine as jm
+from experiments._study import ScalarEffect, save_figure, spread, study, write_results
 from jaxmarine._types import CHANNELS, Scalar, Wrench
-from jaxmarine.effects import Craft, HullLift, Motion, Suspect, WrenchEffect
+from jaxmarine.effects import HullLift, Motion
 from jaxmarine.examples import operator, recorded
 from jaxmarine.logs import smooth_states
 from jaxmarine.networks import MLPDamping, Seen, learned_wrench, mlp_damping
@@ -54,24 +54,23 @@ RATES = (3e-3, 1e-2, 3e-2)  # of Adam at the start
 BATCH, BLOCK = 128, 10  # samples in a mini-batch, steps of Levenberg-Marquardt between two looks
 
 
+@dataclasses.dataclass(frozen=True)
+class Size:
+    """Length of a log [s], steps of a fit, epochs of Adam and blocks of Levenberg-Marquardt."""
+
+    duration: float = 1000.0
+    steps: int = 30
+    epochs: int = 3000
+    blocks: int = 12
+
+
+QUICK = Size(duration=60.0, steps=4, epochs=20, blocks=1)
+
+
 # --- the plant -----------------------------------------------------------------------------------
 
 
-class TrueEffect(WrenchEffect):
-    """A wrench of scalar numbers, zero where it changes nothing."""
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(**{name: jnp.zeros(()) for name in cls.units})
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        return (Suspect(cls, None, {name: (i,) for i, name in enumerate(cls.units)}),)
-
-
-class CrossFlow(TrueEffect):
+class CrossFlow(ScalarEffect):
     """Drag of the flow across each section: Y = -k int |v + x r| (v + x r) dx, N with the arm x. Neutral: 0.
 
     - `per_length` k [N s²/m³]: rho T C_D / 2 with draft T; over the length of 1.255 m.
@@ -93,7 +92,7 @@ class CrossFlow(TrueEffect):
         return jnp.zeros(6).at[1].set(-drag.sum()).at[5].set(-(x * drag).sum())
 
 
-class WaveDrag(TrueEffect):
+class WaveDrag(ScalarEffect):
     """Surge drag with the fourth power of the speed: X = -coefficient |u|³ u. Neutral: 0.
 
     Source: wave resistance grows far faster than with the square below its hump; Faltinsen (2005), ch. 4.
@@ -109,7 +108,7 @@ class WaveDrag(TrueEffect):
         return jnp.zeros(6).at[0].set(-self.coefficient * jnp.abs(u) ** 3 * u)
 
 
-class Pod(TrueEffect):
+class Pod(ScalarEffect):
     """An upright cylinder under the bow, whose drag falls where its flow turns turbulent. Neutral: 0.
 
     F = -area_drag C(|V|) |V| V at x = 0.3 m, C from 1.2 to 0.4 about |V| = 0.27 m/s within some 0.2 m/s: the
@@ -467,12 +466,12 @@ class Case:
     numbers: dict[str, Any]
 
 
-def case(truth: jm.Vehicle, seed: int, duration: float, steps: int, epochs: int, blocks: int) -> Case:
+def case(truth: jm.Vehicle, seed: int, size: Size) -> Case:
     """Everything for one log."""
-    log = log_of(truth, sailed(duration, 100 + seed), 200 + seed)
-    inside = course(truth, sailed(duration, 300 + seed))
-    beyond = course(truth, sailed(duration, 400 + seed, beyond=True))
-    start = extended(craft(), log, seed)
+    log = log_of(truth, sailed(size.duration, 100 + seed), 200 + seed)
+    inside = course(truth, sailed(size.duration, 300 + seed))
+    beyond = course(truth, sailed(size.duration, 400 + seed, beyond=True))
+    start, steps = extended(craft(), log, seed), size.steps
 
     classical = trained(start, log, ("damping",), steps)
     hybrid = trained(classical["trajectory"].vehicle, log, ("network",), steps)
@@ -508,7 +507,7 @@ def case(truth: jm.Vehicle, seed: int, duration: float, steps: int, epochs: int,
             name: {"steps": fit.steps, "converged": fit.converged, "chi2_per_sample": fit.chi2_per_sample}
             for name, fit in fits.items()
         },
-        "adam": against_adam(classical["trajectory"].vehicle, log, epochs, blocks),
+        "adam": against_adam(classical["trajectory"].vehicle, log, size.epochs, size.blocks),
     }
     return Case(vehicles, inside, beyond, numbers)
 
@@ -528,11 +527,6 @@ SHOWN = {
     "single, trajectory": "mass and damping network, trajectory",
     "single, no fading": "the same, not faded out",
 }
-
-
-def spread(values: Sequence[float], digits: int) -> str:
-    """Median and range."""
-    return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
 def ratios(runs: Sequence[dict[str, Any]], where: str, better: str, than: str) -> list[float]:
@@ -648,7 +642,7 @@ def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
         ax.spines[["top", "right"]].set_visible(False)
     handles, labels = axes[0].get_legend_handles_labels()
     plot.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=8)
-    _save(plot, out / "forces")
+    save_figure(plot, out / "forces")
 
 
 def draw_errors(cases: Sequence[Case], out: Path) -> None:
@@ -670,7 +664,7 @@ def draw_errors(cases: Sequence[Case], out: Path) -> None:
         ax.set_ylim(bottom=0.0)
         ax.spines[["top", "right"]].set_visible(False)
     axes[0].legend(frameon=False, fontsize=7)
-    _save(plot, out / "errors")
+    save_figure(plot, out / "errors")
 
 
 def draw_adam(numbers: dict[str, Any], out: Path) -> None:
@@ -686,13 +680,7 @@ def draw_adam(numbers: dict[str, Any], out: Path) -> None:
     ax.set(xscale="log", yscale="log", xlabel="CPU time [s]", ylabel="cost left to save [1]")
     ax.spines[["top", "right"]].set_visible(False)
     ax.legend(frameon=False, fontsize=8)
-    _save(plot, out / "adam")
-
-
-def _save(plot: Any, path: Path) -> None:
-    for end in ("png", "svg"):
-        plot.savefig(path.with_suffix(f".{end}"), dpi=150)
-    plt.close(plot)
+    save_figure(plot, out / "adam")
 
 
 def main(
@@ -701,22 +689,20 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="One short log, few steps.")] = False,
 ) -> None:
     """Measures what networks gain where damping is neither linear nor quadratic."""
-    jax.config.update("jax_enable_x64", True)
-    out.mkdir(parents=True, exist_ok=True)
-    duration, steps, epochs, blocks, seeds = (60.0, 4, 20, 1, 1) if quick else (1000.0, 30, 3000, 12, seeds)
-    truth = true_plant()
-    cases = []
-    with Progress(transient=True) as bar:
-        for seed in bar.track(range(seeds), description="logs"):
-            cases.append(case(truth, seed, duration, steps, epochs, blocks))
-            runs = [one.numbers for one in cases]
-            results = {"duration_s": duration, "summary": summary(runs), "runs": runs}
-            (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-            (out / "results.md").write_text(tables(runs))
-    jm.save_vehicle(cases[0].vehicles["hybrid, trajectory"], out / "hybrid.toml")
-    draw_forces(truth, cases[0], out)
-    draw_errors(cases, out)
-    draw_adam(cases[0].numbers, out)
+    size, seeds = (QUICK, 1) if quick else (Size(), seeds)
+    with study(out, quick):
+        truth = true_plant()
+        cases = []
+        with Progress(transient=True) as bar:
+            for seed in bar.track(range(seeds), description="logs"):
+                cases.append(case(truth, seed, size))
+                runs = [one.numbers for one in cases]
+                results = {"duration_s": size.duration, "summary": summary(runs), "runs": runs}
+                write_results(out, results, tables(runs))
+        jm.save_vehicle(cases[0].vehicles["hybrid, trajectory"], out / "hybrid.toml")
+        draw_forces(truth, cases[0], out)
+        draw_errors(cases, out)
+        draw_adam(cases[0].numbers, out)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,19 @@
 """Tethra's mass from simple elements: as the thesis prints it, and corrected (thesis, sec. 5.1 and 5.2).
 
-    python -m experiments.tethra_geometry --out DIR
+    python -m experiments.tethra_geometry --out DIR [--seeds N] [--quick]
 
 The listing that the thesis prints (BuildTetraModel, TetraParams) has four defects that its numbers contain.
 They can be switched on here, and only here, to show that they give (5.14) and (5.15) to every printed digit.
 With all of them off, the package's own elements give the same as the listing. From those the vehicle file
 `tethra_geometry.toml` is written, of which the package has a copy.
+
+What the elements' rounding leaves open is found by drawing every printed number again within half a unit of
+its last digit, `--seeds` times.
 """
 
 import dataclasses
-import json
 import tomllib
+from decimal import Decimal
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,10 +31,12 @@ from matplotlib.patches import Rectangle
 from rich.console import Console
 
 import jaxmarine as jm
+from experiments._study import save_figure, study, write_results
 from jaxmarine.physics import Assembly, Cylinder, Element, compose, rotation, skew
 from jaxmarine.vehicle_file import VehicleFile, read_vehicle_file, write_vehicle_file
 
 ELEMENTS = Path(__file__).parent / "tethra" / "elements.toml"
+PLACE = ("length", "x", "y", "z", "phi", "theta", "psi")  # in the rows of the file
 # What the thesis prints: the total mass with three end plates, (5.14), (5.15).
 PRINTED_MASS = "231.37"
 PRINTED_M = 231.0  # in (5.18)
@@ -67,24 +72,51 @@ class Tube:
     attitude: Float[np.ndarray, "3"]
 
 
-def tubes(path: Path = ELEMENTS) -> list[Tube]:
-    """All elements of the file; the last end plate is the one that the listing lacks."""
-    data = tomllib.loads(path.read_text(encoding="utf-8"))
+class Rounded:
+    """Numbers as printed; with `rng`: drawn within half a unit of their last digit.
+
+    Numbers that are printed alike for the same thing are the same number, so that twins on either side stay
+    twins. Zeros and right angles are not rounded: they are planes of symmetry and axes.
+    """
+
+    def __init__(self, rng: np.random.Generator | None):
+        self._rng = rng
+        self._drawn: dict[tuple[str, str, Decimal], float] = {}
+
+    def __call__(self, group: str, what: str, printed: Decimal | int) -> float:
+        size = Decimal(abs(printed))
+        if self._rng is None or size in (0, 90):
+            return float(printed)
+        if (group, what, size) not in self._drawn:
+            half = 0.5 * 10.0 ** int(size.as_tuple().exponent)
+            self._drawn[group, what, size] = float(size) + self._rng.uniform(-half, half)
+        return float(np.copysign(self._drawn[group, what, size], float(printed)))
+
+
+def tubes(path: Path = ELEMENTS, rng: np.random.Generator | None = None) -> list[Tube]:
+    """All elements of the file, see `Rounded`; the last end plate is the one that the listing lacks."""
+    # Decimals keep the digits that are printed.
+    data = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+    origin, number = np.array(data["origin"], float), Rounded(rng)
     out = []
     for group in data["group"]:
-        outer, inner = group["radius"], group["radius"] - group["wall"]
-        for length, *place in group["places"]:
-            filling = group.get("contents_density", 0.0) * np.pi * inner**2 * length
+        name = group["name"]
+        own = {key: number(name, key, group[key]) for key in group if key not in ("name", "places")}
+        outer = own["radius"]
+        inner = 0.0 if group["wall"] == group["radius"] else outer - own["wall"]
+        for place in group["places"]:
+            length, *values = (number(name, what, value) for what, value in zip(PLACE, place, strict=True))
+            filling = own.get("contents_density", 0.0) * np.pi * inner**2 * length
             out.append(
                 Tube(
-                    group["name"],
+                    name,
                     length,
                     outer,
                     inner,
-                    group["wall_density"] * np.pi * (outer**2 - inner**2) * length,
-                    group.get("contents", filling),
-                    np.array(place[:3], float) - data["origin"],
-                    np.array(place[3:], float),
+                    own["wall_density"] * np.pi * (outer**2 - inner**2) * length,
+                    own.get("contents", filling),
+                    np.array(values[:3]) - origin,
+                    np.array(values[3:]),
                 )
             )
     return out
@@ -252,7 +284,14 @@ def as_numbers(mass: Mass) -> dict[str, Any]:
     }
 
 
-def calculated() -> tuple[dict[str, Any], Assembly, list[Tube]]:
+def by_rounding(draws: int, density: float) -> Mass:
+    """Standard deviation of everything over draws of the numbers of the file, all four plates there."""
+    rng = np.random.default_rng(0)
+    drawn = [dataclasses.astuple(listing(tubes(rng=rng), Defects(), density)) for _ in range(draws)]
+    return Mass(*(np.std(values, axis=0) for values in zip(*drawn, strict=True)))
+
+
+def calculated(draws: int) -> tuple[dict[str, Any], Assembly, list[Tube]]:
     """All numbers under plain names, the craft with four plates, and its tubes."""
     all_tubes = tubes()
     density = read_vehicle_file(jm.packaged_vehicle("tethra")).environment.density
@@ -281,6 +320,8 @@ def calculated() -> tuple[dict[str, Any], Assembly, list[Tube]]:
         "transposed_rotation_alone_changes_inertia_by_kg_m2": float(np.abs(turned).max()),
         "corrected_3_plates": as_numbers(three),
         "corrected_4_plates": as_numbers(four),
+        "std_by_rounding": as_numbers(by_rounding(draws, density)),
+        "draws": draws,
         "inertia_about_o_4_plates_kg_m2": np.asarray(craft.inertia).tolist(),
         "inertia_about_o_of_the_printed_numbers_kg_m2": about_o.tolist(),
         "net_buoyancy_N": {
@@ -295,6 +336,7 @@ COLUMNS = {
     "as_printed": "listing as printed",
     "corrected_3_plates": "corrected, 3 plates",
     "corrected_4_plates": "corrected, 4 plates",
+    "std_by_rounding": "its standard deviation by rounding",
 }
 ENTRIES = {"I_xx": (0, 0), "I_yy": (1, 1), "I_zz": (2, 2), "I_xy": (0, 1), "I_xz": (0, 2), "I_yz": (1, 2)}
 
@@ -395,9 +437,7 @@ def figure(all_tubes: list[Tube], mass: Mass, folder: Path) -> None:
     labels = [*COLOURS, "origin o", "centre of gravity", "centre of buoyancy"]
     axes[1, 1].axis("off")
     axes[1, 1].legend(handles, labels, loc="center left", frameon=False)
-    for suffix in ("png", "svg"):
-        sheet.savefig(folder / f"elements.{suffix}", dpi=110)
-    plt.close(sheet)
+    save_figure(sheet, folder / "elements")
 
 
 def _outline(tube: Tube) -> Float[np.ndarray, "points 3"]:
@@ -411,21 +451,18 @@ def _outline(tube: Tube) -> Float[np.ndarray, "points 3"]:
 
 def main(
     out: Annotated[Path, typer.Option("--out", help="Folder for numbers, tables, figures, vehicle file.")],
-    seeds: Annotated[int, typer.Option("--seeds", help="Without effect: nothing here is random.")] = 1,
-    quick: Annotated[bool, typer.Option("--quick", help="Without effect: the whole takes seconds.")] = False,
+    seeds: Annotated[int, typer.Option(min=2, help="Draws of the elements within their rounding.")] = 1000,
+    quick: Annotated[bool, typer.Option("--quick", help="Twenty draws.")] = False,
 ) -> None:
     """Tethra's mass from simple elements: as printed, and corrected."""
-    del seeds, quick
-    jax.config.update("jax_enable_x64", True)
-    out.mkdir(parents=True, exist_ok=True)
-    results, craft, all_tubes = calculated()
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    text = markdown(results)
-    (out / "results.md").write_text(text, encoding="utf-8")
-    write_vehicle(vehicle_file(craft, all_tubes), out / "tethra_geometry.toml")
-    numbers = results["corrected_4_plates"]
-    mass = Mass(0.0, 0.0, np.array(numbers["cog_m"]), np.array(numbers["cob_m"]), np.zeros((3, 3)))
-    figure(all_tubes, mass, out)
+    with study(out, quick):
+        results, craft, all_tubes = calculated(20 if quick else seeds)
+        text = markdown(results)
+        write_results(out, results, text)
+        write_vehicle(vehicle_file(craft, all_tubes), out / "tethra_geometry.toml")
+        numbers = results["corrected_4_plates"]
+        mass = Mass(0.0, 0.0, np.array(numbers["cog_m"]), np.array(numbers["cob_m"]), np.zeros((3, 3)))
+        figure(all_tubes, mass, out)
     Console().print(text, markup=False, highlight=False, soft_wrap=True)
 
 

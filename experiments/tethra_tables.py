@@ -24,6 +24,7 @@ import typer
 from rich.progress import Progress
 
 import jaxmarine as jm
+from experiments._study import save_figure, study
 from experiments.thesis import baselines, plant
 from experiments.thesis.baselines import Estimate
 from jaxmarine.fitting import damping_matrices, damping_targets
@@ -460,13 +461,11 @@ def figure(parts: list[dict], out: Path) -> None:
     axes[0].invert_yaxis()
     axes[-1].legend(fontsize=8)
     plot.tight_layout()
-    for kind in ("png", "svg"):
-        plot.savefig(out / f"errors.{kind}", dpi=110)
-    plt.close(plot)
+    save_figure(plot, out / "errors")
 
 
 def write(parts: list[dict], out: Path) -> None:
-    """The results as numbers, tables and picture; called after every part."""
+    """The results as numbers and tables; called after every part."""
     cases = list(dict.fromkeys(p["case"] for p in parts))
     tables = {c: spread(parts, c) for c in cases}
     results = {
@@ -480,7 +479,6 @@ def write(parts: list[dict], out: Path) -> None:
     }
     (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
     (out / "tables.md").write_text(markdown(results, parts))
-    figure(parts, out)
 
 
 def main(
@@ -490,21 +488,22 @@ def main(
 ) -> None:
     """Redoes the thesis' tables 6.1 to 6.7 and says claim by claim what holds."""
     cases, seeds, epochs = (QUICK, 1, 10) if quick else (FULL, seeds, 50)
-    (out / "parts").mkdir(parents=True, exist_ok=True)
-    vehicle, parts = plant.tethra(), []
-    with Progress() as progress:
-        bar = progress.add_task("dives", total=seeds * len(cases))
-        for seed in range(seeds):
-            for case in cases:
-                name = case.name.replace(", ", "_").replace(" ", "")
-                path = out / "parts" / f"{name}_{case.duration:g}s_{epochs}_{seed}.json"
-                if not path.exists():
-                    path.write_text(json.dumps(part(vehicle, case, seed, epochs)))
-                parts.append(json.loads(path.read_text()))
-                write(parts, out)
-                progress.advance(bar)
+    with study(out, quick):
+        (out / "parts").mkdir(exist_ok=True)
+        vehicle, parts = plant.tethra(), []
+        with Progress() as progress:
+            bar = progress.add_task("dives", total=seeds * len(cases))
+            for seed in range(seeds):
+                for case in cases:
+                    name = case.name.replace(", ", "_").replace(" ", "")
+                    path = out / "parts" / f"{name}_{case.duration:g}s_{epochs}_{seed}.json"
+                    if not path.exists():
+                        path.write_text(json.dumps(part(vehicle, case, seed, epochs)))
+                    parts.append(json.loads(path.read_text()))
+                    write(parts, out)
+                    progress.advance(bar)
+        figure(parts, out)
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
     typer.run(main)

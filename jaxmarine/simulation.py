@@ -117,15 +117,7 @@ def substeps(vehicle: Vehicle, dt: float, speed: float | Float[np.ndarray, "6"] 
     or one each), and the oscillation of the restoring moments, and from the lag of fluid memory.
     """
     plant = vehicle.plant()
-    state = initial_state(vehicle, velocity=speed * vehicle.free)
-    count = len(vehicle.thruster_names)
-    rest = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.zeros(()))
-
-    def flow(turn, nu):
-        tilted = eqx.tree_at(lambda s: (s.attitude, s.velocity), state, (from_euler(turn), nu))
-        return plant.acceleration(tilted, rest)
-
-    by_turn, by_nu = jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
+    by_turn, by_nu = _slopes(plant, initial_state(vehicle, velocity=speed * vehicle.free))
     system = np.zeros((9, 9))
     system[:3, 6:] = np.diag(vehicle.free[3:])
     system[3:, :3] = np.asarray(by_turn) * vehicle.free[3:]
@@ -134,6 +126,18 @@ def substeps(vehicle: Vehicle, dt: float, speed: float | Float[np.ndarray, "6"] 
     if plant.has_memory:
         fastest = max(fastest, float(jnp.max(1.0 / plant.memory_lag())))
     return max(1, int(np.ceil(fastest * dt / _STABLE)))
+
+
+@eqx.filter_jit
+def _slopes(plant: Plant, state: State) -> tuple[Array, Array]:
+    """Of the acceleration without commands, by small turns of a level vehicle and by velocity."""
+    none = jnp.zeros_like(plant.drive.max_thrust)
+
+    def flow(turn, nu):
+        tilted = eqx.tree_at(lambda s: (s.attitude, s.velocity), state, (from_euler(turn), nu))
+        return plant.acceleration(tilted, Input(none, none, jnp.zeros(6), jnp.zeros(())))
+
+    return jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
 
 
 def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:

@@ -234,6 +234,23 @@ def test_the_corrected_craft_has_the_numbers_of_an_independent_calculation(study
     np.testing.assert_allclose(np.diag(about_o), [63.57, 61.64, 52.70], atol=6e-3)
 
 
+def test_numbers_are_drawn_within_their_rounding_and_twins_stay_twins(study):
+    printed, drawn = tethra.tubes(), tethra.tubes(rng=np.random.default_rng(3))
+    # Frame F1 is [0.50, 0.78, -0.249, -0.956, -5, 0, 90], its mirror image F2.
+    off = drawn[0].centre - printed[0].centre
+    assert 0 < abs(off[0]) < 5e-3 and 0 < abs(off[1]) < 5e-4 and 0 < abs(off[2]) < 5e-4
+    assert 0 < abs(drawn[0].attitude[0] + 5) < 0.5 and list(drawn[0].attitude[1:]) == [0, 90]
+    np.testing.assert_array_equal(drawn[1].centre, drawn[0].centre * [1, -1, 1])
+    assert all(a.inner == 0 for a, b in zip(drawn, printed, strict=True) if b.inner == 0)
+    # So the craft stays symmetric, but for braces at 60.4 and 119.6 degrees, which are drawn apart.
+    std = study[0]["std_by_rounding"]
+    assert study[0]["draws"] == 20
+    inertia = np.array(std["inertia_at_cog_kg_m2"])
+    assert np.abs(inertia - np.diag(np.diag(inertia))).max() < 1e-3
+    assert np.diag(inertia).min() > 0.3 and np.diag(inertia).max() < 3.0
+    assert 2.0 < std["mass_kg"] < 7.0
+
+
 @pytest.mark.parametrize("plates", [3, 4])
 def test_the_mended_listing_and_the_elements_are_the_same_craft(plates):
     all_tubes = tethra.tubes()

@@ -2,12 +2,9 @@
 
 import json
 
-import pytest
-
 from experiments import tethra_tables
 
 
-@pytest.mark.slow
 def test_quick_run_writes_tables_and_goes_on_where_it_was(tmp_path):
     tethra_tables.main(tmp_path, seeds=1, quick=True)
     results = json.loads((tmp_path / "results.json").read_text())

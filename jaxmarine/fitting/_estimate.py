@@ -2,10 +2,11 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ._free import Freed, Scales
 
@@ -30,7 +31,7 @@ class Units:
 
 def units(freed: Freed, scales: Scales) -> Units:
     """The unknowns at the start of `freed`."""
-    by_raw = np.asarray(jax.jacfwd(freed.entries)(freed.start))
+    _, by_raw = entries_at(freed, np.asarray(freed.start))
     has_prior = np.isfinite(scales.prior)
     return Units(
         map=np.linalg.solve(by_raw, np.diag(np.where(has_prior, scales.prior, scales.size))),
@@ -79,5 +80,10 @@ class Estimate:
 
 def entries_at(freed: Freed, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The freed entries at `raw`, and their derivative with respect to it."""
-    at = jnp.asarray(raw)
-    return np.asarray(freed.entries(at)), np.asarray(jax.jacfwd(freed.entries)(at))
+    values, slopes = _entries_at(freed, jnp.asarray(raw))
+    return np.asarray(values), np.asarray(slopes)
+
+
+@eqx.filter_jit
+def _entries_at(freed: Freed, raw: Float[Array, " raw"]) -> tuple[Array, Array]:
+    return freed.entries(raw), jax.jacfwd(freed.entries)(raw)

@@ -93,6 +93,7 @@ class Statistics(eqx.Module):
     h_xz: Float[Array, "windows 12 z"]
     h_zz: Float[Array, "windows z z"]
 
+    @eqx.filter_jit
     def reduced(self):
         """Chi-square, gradient and information of z with each window's initial state eliminated."""
         return jax.lax.map(_eliminated, self)

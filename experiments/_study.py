@@ -1,0 +1,65 @@
+"""What the studies share: how they begin, what they write, and effects of their own."""
+
+import contextlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from jaxmarine.effects import Craft, Suspect, WrenchEffect
+
+
+class ScalarEffect(WrenchEffect):
+    """A wrench of scalar numbers that are zero where it changes nothing; one suspect has them all."""
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(**{name: jnp.zeros(()) for name in cls.units})
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        del craft
+        return (Suspect(cls, None, {name: (i,) for i, name in enumerate(cls.units)}),)
+
+
+@contextlib.contextmanager
+def study(out: Path, quick: bool) -> Iterator[None]:
+    """Makes the folder, and calculates in double precision and with one thread per small matrix.
+
+    A quick study would spend most of its time on making its programs fast, so theirs are left as they are.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_disable_most_optimizations", quick or before)
+    try:
+        # Threads that share a small matrix mostly wait for each other.
+        with threadpool_limits(1, "blas"):
+            yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+def write_results(out: Path, results: dict[str, Any], text: str) -> None:
+    """The results as numbers and as tables."""
+    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    (out / "results.md").write_text(text, encoding="utf-8")
+
+
+def save_figure(plot: Any, path: Path) -> None:
+    """As PNG and as SVG."""
+    for kind in ("png", "svg"):
+        plot.savefig(path.with_suffix(f".{kind}"), dpi=120)
+    plt.close(plot)
+
+
+def spread(values: Sequence[float], digits: int) -> str:
+    """Median and range over seeds."""
+    return f"{np.median(values):.{digits}f} ({np.min(values):.{digits}f} to {np.max(values):.{digits}f})"
