@@ -47,6 +47,8 @@ GUESS_QUADRATIC = np.diag([60.0, 60.0, 60.0, 15.0, 15.0, 15.0])
 # Deviations by which a fit weighs what is measured: attitude exact but for rounding, velocities off by
 # up to 0.1 % of some 0.3 m/s, accelerations by up to 0.5 m/s² and 0.05 rad/s² (sec. 5.3.1, uniform).
 NOISE = np.array([np.nan] * 3 + [1e-4] * 3 + [1.7e-4] * 3 + [1e-4] * 3 + [0.29] * 3 + [0.029] * 3)
+# Without the accelerations, in whose place the slopes of the velocities are: off by some 1e-3 m/s² instead.
+SLOPES = np.where(np.arange(len(NOISE)) < 12, NOISE, np.nan)
 WIDTH = 3.0  # of the prior of a weight, whose inputs and outputs are scaled
 # Windows with an initial state of their own [s]: of the log that is identified from, and under way.
 STRETCH, PIECE = 10.0, 2.5
@@ -78,7 +80,6 @@ FULL = Size(data=1000.0, network_data=400.0, hidden=8, dive=180.0, change=60.0)
 QUICK = Size(data=60.0, network_data=60.0, hidden=2, dive=45.0, change=10.0)
 
 ML, TRAJECTORY, NETWORK = "grey box, acceleration ML", "grey box, trajectory loss", "network"
-REFERENCE = "reference"
 Errors = dict[str, Any]
 
 
@@ -138,11 +139,16 @@ def enlarged(vehicle: jm.Vehicle, share: float) -> jm.Vehicle:
 _SIZE = np.diag(GUESS_LINEAR)
 
 
-def grey_box(start: jm.Vehicle, log: jm.Log, loss: Literal["trajectory", "one_step"]) -> jm.Vehicle:
+def grey_box(
+    start: jm.Vehicle,
+    log: jm.Log,
+    loss: Literal["trajectory", "one_step"],
+    noise: Float[np.ndarray, "18"] = NOISE,
+) -> jm.Vehicle:
     """M, all of D_l and the diagonal of D_q, by trajectories or by maximum likelihood of accelerations."""
     anything = np.full((6, 6), np.inf)
     prior = (anything, anything, np.where(np.eye(6) > 0, np.inf, 0.0))
-    fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=NOISE, throw=False)
+    fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=noise, throw=False)
     return fit.vehicle
 
 
@@ -164,9 +170,11 @@ def network(mass: jm.Vehicle, start: jm.Vehicle, log: jm.Log, hidden: int, seed:
     ).vehicle
 
 
-def identified(truth: jm.Vehicle, log: jm.Log, size: Size, seed: int) -> dict[str, jm.Vehicle]:
-    """The models of a log, which is of the true craft."""
-    ml = grey_box(guess(truth), log, "one_step")
+def identified(
+    truth: jm.Vehicle, log: jm.Log, noise: Float[np.ndarray, "18"], size: Size, seed: int
+) -> dict[str, jm.Vehicle]:
+    """The models of a log, which is of the true craft; `noise` says what accelerations are taken from."""
+    ml = grey_box(guess(truth), log, "one_step", noise)
     trajectory = grey_box(ml, log, "trajectory")
     short = log.between(log.t[0], log.t[0] + size.network_data)
     net = network(trajectory, guess(truth), short, size.hidden, seed)
@@ -322,7 +330,7 @@ def ideal(study: Study) -> None:
     truth, size = study.truth, study.size
     log = plant.dive(truth, size.data, 0)
     known = {"exact model": truth, "all parameters +10 %": enlarged(truth, 0.1)}
-    for name, model in (known | identified(truth, log, size, 0)).items():
+    for name, model in (known | identified(truth, log, NOISE, size, 0)).items():
         study.note("I", name, 0, followed(truth, model, study.path).trajectory)
     study.note("I", "exact model, four thrusters", 0, through_thrusters(truth, study.path))
 
@@ -331,7 +339,7 @@ def noisy(study: Study, seed: int) -> dict[str, jm.Vehicle]:
     """Case II: models identified from the text's noise, as they are and updated under way."""
     truth, size = study.truth, study.size
     log = plant.noisy(plant.dive(truth, size.data, seed), "text", seed)
-    models = identified(truth, log, size, seed)
+    models = identified(truth, log, SLOPES, size, seed)
     for name, model in models.items():
         study.note("II", name, seed, followed(truth, model, study.path).trajectory)
     for name in (ML, NETWORK):
@@ -484,7 +492,15 @@ FIGURES = {
         [("III", f"{TRAJECTORY}, learning"), ("III", f"{NETWORK}, learning")],
     ),
 }
-COLOURS = ("#1f6fb5", "#c2620a", "#3c8d40", "#8a4fb0", "#7d8590", "#b03a48")
+# Each with gaps of its own, through which one that it covers can be seen.
+STYLES = tuple(
+    {"color": colour, "ls": dashes}
+    for colour, dashes in zip(
+        ("#1f6fb5", "#c2620a", "#3c8d40", "#8a4fb0", "#7d8590", "#b03a48"),
+        ("-", (0, (6, 2)), (0, (2, 2)), (0, (6, 2, 2, 2)), (0, (4, 4)), (0, (1, 3))),
+        strict=True,
+    )
+)
 
 
 def figures(study: Study, out: Path) -> None:
@@ -499,14 +515,14 @@ def figures(study: Study, out: Path) -> None:
     ):
         figure, ax = plt.subplots(figsize=(8, 4), layout="constrained")
         keys = [key for key in study.drawn if key[0] == case]
-        for colour, key in zip(COLOURS, keys, strict=False):
+        for style, key in zip(STYLES, keys, strict=False):
             states = study.drawn[key].states
             off = (
                 states.velocity[:, :3] - reference.states.velocity[:, :3]
                 if case == "III"
                 else states.position - reference.states.position
             )
-            ax.semilogy(t[1:], np.linalg.norm(off, axis=1)[1:], color=colour, lw=1.2, label=key[1])
+            ax.semilogy(t[1:], np.linalg.norm(off, axis=1)[1:], **style, lw=1.5, label=key[1])
         if case == "III":
             ax.axvline(study.size.change, color="black", ls=":", lw=1, label="sonar mounted")
         ax.set(title=title, xlabel="time [s]", ylabel=f"length of the error [{unit}]")
@@ -515,16 +531,16 @@ def figures(study: Study, out: Path) -> None:
 
 
 def _two_views(study: Study, title: str, keys: list[tuple[str, str]]) -> Figure:
-    """Horizontal projection and depth over time: craft solid, reference dotted."""
+    """Horizontal projection and depth over time, the reference as a broad band beneath."""
     figure, (plan, depth) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
     t = times(study.path)
     wanted = np.asarray(study.path.at(t).states.position)
-    for colour, key in zip(COLOURS, keys, strict=False):
+    plan.plot(wanted[:, 1], wanted[:, 0], color="0.8", lw=5)
+    depth.plot(t, wanted[:, 2], color="0.8", lw=5, label="reference")
+    for style, key in zip(STYLES, keys, strict=False):
         position = np.asarray(study.drawn[key].states.position)
-        plan.plot(position[:, 1], position[:, 0], color=colour, lw=1.4)
-        depth.plot(t, position[:, 2], color=colour, lw=1.4, label=key[1])
-    plan.plot(wanted[:, 1], wanted[:, 0], color="black", ls=":", lw=1.6)
-    depth.plot(t, wanted[:, 2], color="black", ls=":", lw=1.6, label=REFERENCE)
+        plan.plot(position[:, 1], position[:, 0], **style, lw=1.4)
+        depth.plot(t, position[:, 2], **style, lw=1.4, label=key[1])
     plan.set(xlabel="y, east [m]", ylabel="x, north [m]", aspect="equal")
     depth.set(xlabel="time [s]", ylabel="depth [m]")
     depth.invert_yaxis()

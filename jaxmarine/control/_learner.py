@@ -49,9 +49,10 @@ class Learner:
     part of the window is not learned from: there the update has to predict better than the model that it
     is to replace.
 
-    They do not suffice for a network's weights: a stale model keeps the vehicle slow, and what is
-    learned there is used at the speed that was meant, where a network may say anything. Linear and
-    quadratic damping has the right growth there. So free that, beside a network that is held.
+    They do not suffice for a network's weights. A stale model may keep the vehicle slow, and what is learned
+    there is used at the speed that was meant, where a network may say anything and is not solved for in
+    forty steps. So free linear and quadratic damping beside a network that is held: it grows as damping
+    does, and the next window puts right what the last one could not tell.
 
     Damping is refitted without the triangular factor that would keep it dissipative everywhere: in the
     matrices themselves the problem is nearly linear and solved in a few steps, in the factor it is not in
