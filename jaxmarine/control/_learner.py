@@ -45,8 +45,14 @@ class Learner:
 
     Four things keep it from running away. The window forgets what is old. The prior of every refit
     stands at the last good model, so that what the window does not excite stays. An update is refused that
-    gives energy to the hull at a velocity of the window. The newest part of the window is not learned from:
-    there the update has to predict better than the model that it is to replace.
+    gives energy to the hull at a velocity of the window, or at one that it is to be used at next. The newest
+    part of the window is not learned from: there the update has to predict better than the model that it
+    is to replace.
+
+    They do not suffice for a network's weights. A stale model may keep the vehicle slow, and what is learned
+    there is used at the speed that was meant, where a network may say anything and is not solved for in
+    forty steps. So free linear and quadratic damping beside a network that is held: it grows as damping
+    does, and the next window puts right what the last one could not tell.
 
     Damping is refitted without the triangular factor that would keep it dissipative everywhere: in the
     matrices themselves the problem is nearly linear and solved in a few steps, in the factor it is not in
@@ -73,8 +79,11 @@ class Learner:
         if not (self.learned >= 2 * self.piece > 0 and self.judged > 0):
             raise ValueError("Argument `learned` must be two pieces or more, and `judged` positive.")
 
-    def update(self, before: Learned, log: Log) -> Learned:
-        """What is known after `log`, which follows on what was known before."""
+    def update(self, before: Learned, log: Log, ahead: Float[np.ndarray, "points 6"]) -> Learned:
+        """What is known after `log`, which follows on what was known before.
+
+        - `ahead` [m/s, rad/s]: velocities that the update is to be used at.
+        """
         recent = log if before.recent is None else _joined(before.recent, log)
         end = recent.t[-1] + recent.dt
         whole = end - recent.t[0] >= self.learned + self.judged - 1e-6
@@ -91,7 +100,7 @@ class Learner:
         old, new = (
             prediction_error(vehicle, newest, start, self.noise) for vehicle in (before.vehicle, candidate)
         )
-        velocities = smooth_states(recent, before.vehicle.dof).nu
+        velocities = np.concatenate([smooth_states(recent, before.vehicle.dof).nu, ahead])
         after = dataclasses.replace(before, recent=recent, errors=(old, new))
         if not dissipates(candidate, jnp.asarray(velocities)):
             return dataclasses.replace(after, verdict="rejected: its damping gives energy to the hull")
