@@ -92,12 +92,12 @@ def diagnose(
     model, dense = _settled(bench, found)
     now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
     start = bench.refine(bench.frozen(bench.start()))
-    if now.model.members and not now.white:
+    if (now.model.members or dense) and not now.white:
         alone = judged(bench, start)
         left = _dependences(bench, alone, bench.vehicle)
         share = WITH_UNKNOWN if unknown else STAND_IN
-        if _left_over(bench, alone, left) < share * _left_over(bench, now, unknown):
-            # Nothing that was named is the cause: it only took the shape of what is unknown.
+        if left and _left_over(bench, alone, left) < share * _left_over(bench, now, unknown):
+            # Nothing that was named or recalibrated is the cause: it only took the shape of what is unknown.
             now, unknown, dense = alone, left, False
     model = now.model
 
@@ -107,6 +107,11 @@ def diagnose(
         progress("learning what is missing")
         learned = learn(now.knots, unknown, vehicle.thruster_names)
         terms = tuple(Placed(term, term.target) for term in learned)
+        if not terms:
+            notes.append(
+                "No network of those signals predicts what is missing where it was not fitted; the extended "
+                "vehicle has none."
+            )
     extended = extended.place(*terms)
     progress("predicting the test log")
     measured = _measured_gain(bench, model, terms, test)
@@ -372,9 +377,7 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
 
 
 def _left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
-    """Chi-square beyond the noise that a model and unknown dependences leave; infinite without any."""
-    if not unknown and not now.model.members:
-        return np.inf
+    """Chi-square beyond the noise that a model and unknown dependences leave."""
     return max(2 * now.model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
 
 

@@ -1,17 +1,23 @@
 """Learns a missing wrench as a network of the signals that it depends on."""
 
+import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
+from jaxtyping import Array
 
 from .._types import ATTITUDE, POSITION
+from ..fitting import fit_samples
 from ..networks import LearnedWrench, learned_wrench
 from ._knots import Knots, missing_wrench
+from ._score import blocks, t_value
 from ._unknown import Dependence, resolved
 
 HIDDEN = 12
 RESTARTS = 4
+STEPS = 50
+FOLDS = 3
 # Weight decay: a weight of one costs this much chi-square.
 DECAY = 1.0
 
@@ -55,56 +61,71 @@ def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
     return a, b
 
 
+class _Missing(eqx.Module):
+    """What the knots of one window still lack beside networks: the residual that they are fitted to."""
+
+    terms: tuple[LearnedWrench, ...]
+    axes: tuple[int, ...] = eqx.field(static=True)
+    windows: int = eqx.field(static=True)
+
+    def __call__(self, networks, window) -> Array:
+        inputs, a, b, used = window
+        wrench = jnp.zeros((len(inputs[0]), 6))
+        for axis, x, network, term in zip(self.axes, inputs, networks, self.terms, strict=True):
+            wrench = wrench.at[:, axis].set(term.force(x, network))
+        weights, _ = jax.flatten_util.ravel_pytree(networks)
+        decay = np.sqrt(DECAY / self.windows) * weights
+        return jnp.concatenate([used * (a @ wrench.ravel() + b), decay])
+
+
 def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -> tuple[LearnedWrench, ...]:
     """One network per axis, fitted together on the knots' chi-square by Levenberg-Marquardt.
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
-    at the price of a curve fit. The best of several restarts is kept.
+    at the price of a curve fit. The best of several restarts is kept, and none where networks fitted to
+    the other windows do not help a window: what is missing then has a memory that they lack.
     """
     sizes = {one.axis: float(np.nanstd(missing_wrench(k).wrench[:, one.axis])) for one in found}
-    a, b = (jnp.asarray(x) for x in _quadratic(k))
     inputs = [_inputs(k, one.signals) for one in found]
     ranges = [(x.min((0, 1)), x.max((0, 1))) for x in inputs]
-    windows, count = k.places.t.shape
-    hidden = [_hidden(k, one.signals) for one in found]
 
     def built(key) -> tuple[LearnedWrench, ...]:
-        keys = jax.random.split(key, len(found))
-        out = []
-        for one, (low, high), units, key in zip(found, ranges, hidden, keys, strict=True):
+        out, keys = [], jax.random.split(key, len(found))
+        for one, (low, high), key in zip(found, ranges, keys, strict=True):
+            units = _hidden(k, one.signals)
             term = learned_wrench(one.dof, one.signals, thrusters, low, high, sizes[one.axis], key, units)
             out.append(_spread(term, key) if units > HIDDEN else term)
         return tuple(out)
 
-    def residual(networks, args):
-        start, inputs, a, b = args
-        wrench = jnp.zeros((windows, count, 6))
-        for one, x, network, term in zip(found, inputs, networks, start, strict=True):
-            wrench = wrench.at[:, :, one.axis].set(term.force(x, network))
-        error = jnp.einsum("wrk,wk->wr", a, wrench.reshape(windows, -1)) + b
-        return error, jax.tree.map(lambda w: np.sqrt(DECAY) * w, networks)
+    beginnings = [built(key) for key in jax.random.split(jax.random.PRNGKey(0), RESTARTS)]
+    terms = beginnings[0]
+    starts = jax.tree.map(lambda *w: jnp.stack(w), *[tuple(t.network for t in b) for b in beginnings])
+    a, b = (jnp.asarray(x) for x in _quadratic(k))
+    missing = _Missing(terms, tuple(one.axis for one in found), len(a))
+    windows = tuple(jnp.asarray(x) for x in inputs), a, b
 
-    def fitted(key, inputs, a, b):
-        start = built(key)
-        args = (start, inputs, a, b)
-        networks = tuple(term.network for term in start)
-        solution = optx.least_squares(
-            residual,
-            optx.LevenbergMarquardt(rtol=1e-5, atol=1e-5),
-            networks,
-            args,
-            max_steps=80,
-            throw=False,
-        )
-        error, _ = residual(solution.value, args)
-        return solution.value, (error**2).sum()
+    def fitted(used: np.ndarray):
+        return fit_samples(missing, starts, (*windows, jnp.asarray(used)), rtol=1e-5, max_steps=STEPS).best
 
-    keys = jax.random.split(jax.random.PRNGKey(0), RESTARTS)
-    data = ([jnp.asarray(x) for x in inputs], a, b)
-    values, costs = jax.jit(lambda keys, *data: jax.lax.map(lambda key: fitted(key, *data), keys))(
-        keys, *data
-    )
-    best = int(jnp.argmin(costs))
-    start = built(keys[best])
-    networks = jax.tree.map(lambda leaf: leaf[best], values)
-    return tuple(term.with_network(network) for term, network in zip(start, networks, strict=True))
+    fold = blocks(len(a), FOLDS)
+    saved = np.zeros(len(a))
+    for number in range(FOLDS):
+        left = fold == number
+        networks = fitted(np.where(np.convolve(left, [1, 1, 1], "same") > 0, 0.0, 1.0))
+        saved[left] = np.asarray(_saved(missing, networks, windows))[left]
+    if t_value(saved) < 2.0:
+        return ()
+    networks = fitted(np.ones(len(a)))
+    return tuple(term.with_network(network) for term, network in zip(terms, networks, strict=True))
+
+
+@eqx.filter_jit
+def _saved(missing: _Missing, networks, windows) -> Array:
+    """Chi-square that networks save on each window."""
+
+    def one(window):
+        inputs, a, b = window
+        error = missing(networks, (inputs, a, b, 1.0))[: len(b)]
+        return (b**2).sum() - (error**2).sum()
+
+    return jax.vmap(one)(windows)

@@ -13,6 +13,7 @@ from .._errors import InputError
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Wrench
 from ..effects import Craft, Motion, WrenchEffect
 from ..physics import to_euler_matrix
+from ._seen import faded
 from ._term import LearnedTerm, check_shapes
 
 # Every signal that a residual is tested against, besides the thrusters' commands.
@@ -51,7 +52,8 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
     - `weight_1` [hidden, inputs], `bias_1`, `weight_2` [hidden], `bias_2`: the network, zero at the start
       in its last layer, so that the unfitted vehicle is the physics.
     - `low`, `high`: range of each input in the data it was fitted on; outside it the input is clipped, so
-      that the term stays what it was at the edge and does not run away.
+      that the term stays what it was at the edge and does not run away. Beyond the places seen it fades out
+      over the width of a unit's step instead: what pulls here says nothing of elsewhere.
     - `scale` [N or N m]: size of the output.
 
     Source: thesis sec. 4.1 (a network parallel to the model), kept to the signals that the residual
@@ -106,7 +108,15 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
         width = jnp.where(self.high > self.low, self.high - self.low, 1.0)
         x = 2.0 * (jnp.clip(inputs, self.low, self.high) - self.low) / width - 1.0
         hidden = jnp.tanh((weight_1 * x[..., None, :]).sum(-1) + bias_1)
-        return self.scale * ((weight_2 * hidden).sum(-1) + bias_2)
+        return self._seen(inputs) * self.scale * ((weight_2 * hidden).sum(-1) + bias_2)
+
+    def _seen(self, inputs: Float[Array, "*points inputs"]) -> Array:
+        """1 at the places seen, 0 away from them."""
+        columns = [(name,) * (2 if name in ATTITUDE else 1) for name in self.inputs]
+        places = np.array([name in POSITION for names in columns for name in names])
+        width = 2.0 / len(self.bias_1) * (self.high - self.low) + 1e-9
+        beyond = jnp.maximum(jnp.maximum(self.low - inputs, inputs - self.high), 0.0) / width
+        return jnp.prod(jnp.where(places, faded(beyond), 1.0), axis=-1)
 
     def __call__(self, motion: Motion) -> Wrench:
         inputs = signals(motion, self.inputs, self.thrusters)

@@ -18,6 +18,12 @@ _END = 1.5
 _LEAST = 1e-3
 
 
+def faded(t: Array) -> Array:
+    """1 below 0, 0 above 1, between them a step with two derivatives (Perlin 2002)."""
+    t = jnp.clip(t, 0.0, 1.0)
+    return 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+
+
 class Seen(eqx.Module):
     r"""An ellipsoid of velocities: 1 inside, 0 beyond 1.5 times its size, and smooth in between.
 
@@ -31,7 +37,7 @@ class Seen(eqx.Module):
     each crossing, and the integration and Gauss-Newton want two derivatives. An ellipsoid by the data's
     covariance follows velocities that go together (drift and turning), where a box would call their
     unseen corners seen; unlike a density it has no holes, so that it cannot switch within the data.
-    A hollow inside the data does count as seen. Source of the step: Perlin (2002), its fifth-order blend.
+    A hollow inside the data does count as seen.
     """
 
     centre: Float[Array, " axes"]
@@ -57,8 +63,7 @@ class Seen(eqx.Module):
 
     def __call__(self, velocity: Float[Array, " axes"]) -> Scalar:
         q = ((self.shape * (velocity - self.centre)[None]).sum(-1) ** 2).sum()
-        t = jnp.clip((q - 1.0) / (_END**2 - 1.0), 0.0, 1.0)
-        return 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+        return faded((q - 1.0) / (_END**2 - 1.0))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as they stand in a file."""
