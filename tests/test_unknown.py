@@ -1,11 +1,14 @@
 """Dependences of a missing wrench on made-up knots, whose cause is known by construction."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.blind.outside import play
 from jaxmarine.diagnosis._knots import Knots
+from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced
-from jaxmarine.diagnosis._signals import Places
+from jaxmarine.diagnosis._signals import Places, _played
 from jaxmarine.diagnosis._unknown import dependences
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -23,8 +26,10 @@ def drift(rng: np.random.Generator, slow: float) -> np.ndarray:
     return out.reshape(SHAPE)
 
 
-def knots_with(heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random.Generator) -> Knots:
-    """Knots of a craft free in heave that misses a given force, seen with noise."""
+def knots_with(
+    heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random.Generator, **played
+) -> Knots:
+    """Knots of a craft free in heave that misses a given force, with noise; `played` as in `Places`."""
     wrench = np.zeros((*SHAPE, 6))
     wrench[..., HEAVE] = heave
     information = np.zeros(6)
@@ -46,7 +51,7 @@ def knots_with(heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random
             rotation=np.tile(np.eye(3), (*SHAPE, 1, 1)),
             velocity=np.zeros((*SHAPE, 6)),
             signals=signals,
-            played={},
+            played=played,
         ),
     )
 
@@ -57,13 +62,20 @@ def knots_with(heave: np.ndarray, signals: dict[str, np.ndarray], rng: np.random
         (("z",), lambda s: np.sin(2 * np.pi * s["z"] / 2.0)),
         (("u",), lambda s: np.abs(s["u"]) * s["u"]),
         (("psi", "u"), lambda s: s["u"] * np.sin(2 * s["psi"])),
+        (("y",), lambda s: np.cos(s["y"])),
     ],
-    ids=["a place, in waves", "a velocity, squared", "a heading and a velocity together"],
+    ids=[
+        "a place, in waves",
+        "a velocity, squared",
+        "a heading and a velocity together",
+        "a place, many times along the way",
+    ],
 )
 def test_the_signals_of_a_missing_force_are_named(names, force):
     rng = np.random.default_rng(3)
     signals = {name: drift(rng, 4.0) for name in ("z", "u", "w", "port")}
     signals["psi"] = np.pi * drift(rng, 4.0)
+    signals["y"] = np.cumsum(0.35 + 0.5 * signals["u"].ravel()).reshape(SHAPE) % 40.0
     (found,) = dependences(knots_with(force(signals), signals, rng), 1.0)
     assert found.dof == "heave"
     assert set(found.signals) == set(names)
@@ -86,3 +98,60 @@ def test_a_velocity_that_a_disturbance_has_caused_is_not_its_cause():
     # A drag that the file lacks shows on both.
     lacking = knots_with(-0.8 * signals["w"] + 0.3 * push, signals, rng)
     assert [found.signals for found in dependences(lacking, 1.0, {"w": told})] == [("w",)]
+
+
+# --- memory of a command ----------------------------------------------------------------------
+
+
+def test_a_play_is_that_of_another_program():
+    commands = np.cumsum(np.random.default_rng(6).normal(size=(200, 2)), axis=0)
+    widths = np.array([[0.5, 2.0], [1.0, 3.0]])
+    for i, row in enumerate(widths):
+        for j, width in enumerate(row):
+            behind = _played(commands, widths)[:, i, j] * width
+            np.testing.assert_allclose(behind, play(commands[:, i], width) - commands[:, i], atol=1e-12)
+
+
+def backlash(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """A force behind a backlash of a width that is none of the shapes', the signals, and their plays."""
+    told = drift(rng, 6.0)
+    signals = {"u": drift(rng, 4.0), "port": told}
+    widths = np.abs(told).max() * np.array([[0.1, 0.2, 0.4, 0.8]])
+    played = _played(told.reshape(-1, 1), widths)[:, 0].reshape(*SHAPE, 4)
+    return play(told.ravel(), 0.9).reshape(SHAPE) - told, signals, played
+
+
+def test_hysteresis_is_a_dependence_on_its_command():
+    rng = np.random.default_rng(7)
+    force, signals, played = backlash(rng)
+    (found,) = dependences(knots_with(force, signals, rng, port=played), 1.0)
+    assert found.signals == ("port",)
+    # Without its memory a command says little of where within the backlash the thrust is.
+    without = dependences(knots_with(force, signals, rng, port=played[..., :0]), 1.0)
+    assert not without or without[0].saved < 0.5 * found.saved
+
+
+# --- what is learned of it ----------------------------------------------------------------------
+
+
+def test_a_network_learns_the_force_and_ends_beyond_the_places_seen():
+    rng = np.random.default_rng(8)
+    signals = {"z": drift(rng, 4.0), "u": drift(rng, 4.0)}
+    k = knots_with(np.sin(2 * np.pi * signals["z"] / 2.0), signals, rng)
+    (term,) = learn(k, dependences(k, 1.0), ())
+    seen = np.quantile(signals["z"], [0.02, 0.98])
+    z = np.linspace(*seen, 200)
+    force = np.array([term.force(jnp.array([x]), term.network) for x in z])
+    # Each knot is seen to 0.1 N, and some ten of them lie within the width of a turn.
+    assert np.sqrt(np.mean((force - np.sin(np.pi * z)) ** 2)) < STD
+    away = signals["z"].max() + 10.0
+    assert float(term.force(jnp.array([away]), term.network)) == 0.0
+
+
+def test_a_network_that_predicts_no_other_window_is_not_kept():
+    rng = np.random.default_rng(9)
+    signals = {"u": drift(rng, 4.0), "port": drift(rng, 6.0)}
+    found = dependences(knots_with(signals["u"] ** 2, signals, rng), 1.0)
+    assert learn(knots_with(signals["u"] ** 2, signals, rng), found, ("port",))
+    # The same shapes in a craft whose missing force has nothing to do with them.
+    assert learn(knots_with(drift(rng, 3.0), signals, rng), found, ("port",)) == ()

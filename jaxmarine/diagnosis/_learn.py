@@ -72,7 +72,8 @@ class _Missing(eqx.Module):
         inputs, a, b, used = window
         wrench = jnp.zeros((len(inputs[0]), 6))
         for axis, x, network, term in zip(self.axes, inputs, networks, self.terms, strict=True):
-            wrench = wrench.at[:, axis].set(term.force(x, network))
+            force = jax.vmap(term.force, in_axes=(0, None))(x, network)
+            wrench = wrench.at[:, axis].set(force)
         weights, _ = jax.flatten_util.ravel_pytree(networks)
         decay = np.sqrt(DECAY / self.windows) * weights
         return jnp.concatenate([used * (a @ wrench.ravel() + b), decay])

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._errors import InputError
-from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Wrench
+from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Scalar, Wrench
 from ..effects import Craft, Motion, WrenchEffect
 from ..physics import to_euler_matrix
 from ._seen import faded
@@ -101,22 +101,22 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
         """The same term with other weights."""
         return eqx.tree_at(lambda term: term.network, self, network)
 
-    def force(self, inputs: Float[Array, "*points inputs"], network: tuple[Array, ...]) -> Array:
+    def force(self, inputs: Float[Array, " inputs"], network: tuple[Array, ...]) -> Scalar:
         """The force for given inputs and weights [N or N m]."""
         weight_1, bias_1, weight_2, bias_2 = network
         # Squares the range to [-1, 1]; a signal that never moved stays at zero.
         width = jnp.where(self.high > self.low, self.high - self.low, 1.0)
         x = 2.0 * (jnp.clip(inputs, self.low, self.high) - self.low) / width - 1.0
-        hidden = jnp.tanh((weight_1 * x[..., None, :]).sum(-1) + bias_1)
-        return self._seen(inputs) * self.scale * ((weight_2 * hidden).sum(-1) + bias_2)
+        hidden = jnp.tanh((weight_1 * x[None]).sum(-1) + bias_1)
+        return self._seen(inputs) * self.scale * ((weight_2 * hidden).sum() + bias_2)
 
-    def _seen(self, inputs: Float[Array, "*points inputs"]) -> Array:
+    def _seen(self, inputs: Float[Array, " inputs"]) -> Scalar:
         """1 at the places seen, 0 away from them."""
         columns = [(name,) * (2 if name in ATTITUDE else 1) for name in self.inputs]
         places = np.array([name in POSITION for names in columns for name in names])
         width = 2.0 / len(self.bias_1) * (self.high - self.low) + 1e-9
         beyond = jnp.maximum(jnp.maximum(self.low - inputs, inputs - self.high), 0.0) / width
-        return jnp.prod(jnp.where(places, faded(beyond), 1.0), axis=-1)
+        return jnp.prod(jnp.where(places, faded(beyond), 1.0))
 
     def __call__(self, motion: Motion) -> Wrench:
         inputs = signals(motion, self.inputs, self.thrusters)
