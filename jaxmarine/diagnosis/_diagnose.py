@@ -276,11 +276,12 @@ def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workb
 
 
 def _pruned(bench: Workbench, model: Model, phi: float) -> Model:
-    """The model without members that are not needed beside the others."""
+    """The model without members that are not needed beside the others, or mean nothing beside them."""
     i = 0
     while i < len(model.members):
         less = bench.refine(bench.without_member(model, i))
-        if 2 * (less.cost - model.cost) < needed(bench, model.members[i], phi):
+        idle = 2 * (less.cost - model.cost) < needed(bench, model.members[i], phi)
+        if idle or (bench.sound(less) and not bench.sound(model)):
             model, i = less, 0
         else:
             i += 1
@@ -350,6 +351,10 @@ def _with_unknown(
         if spurious is None:
             return now, unknown
         now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+        # What was found beside a stand-in may have mended what that spoilt.
+        model = _pruned(bench, now.model, now.phi)
+        if model is not now.model:
+            now = judged(bench, model)
     return now, ()
 
 

@@ -20,6 +20,7 @@ from ._saturated import SaturatedPlant
 HORIZON = 5.0  # [s]
 STARTS = 60  # predictions at most
 RESAMPLES = 1000
+RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away
 
 
 # Phases that a wave is tried with; what lies between is interpolated by trigonometric polynomials.
@@ -149,6 +150,14 @@ def _wrapped(error: np.ndarray) -> np.ndarray:
     return error
 
 
+def _missed(predicted: np.ndarray, measured: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Errors of predictions, NaN only where nothing was measured: one that runs away is far off."""
+    error = _wrapped(predicted - measured)
+    most = RUNAWAY * noise
+    error = np.where(np.isfinite(error), np.clip(error, -most, most), most)
+    return np.where(np.isfinite(measured), error, np.nan)
+
+
 def _rms(error: np.ndarray, names: tuple[str, ...]) -> float | None:
     """Root mean square length of the vector of those channels, None where none was measured."""
     columns = [CHANNELS.index(name) for name in names]
@@ -169,7 +178,7 @@ def gain(
     held_out: bool,
 ) -> tuple[Gain, Predictions]:
     """The gain with a bootstrap interval over starts in blocks as long as a prediction."""
-    errors = [_wrapped(p[:, begin:] - measured[:, begin:]) for p in (before, after)]
+    errors = [_missed(p[:, begin:], measured[:, begin:], noise) for p in (before, after)]
     scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
 
     def pair(names: tuple[str, ...]) -> BeforeAfter | None:
