@@ -10,7 +10,7 @@ from ..vehicle import Damping, Placed, Vehicle
 from ._judge import Judged
 from ._model import Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
-from ._score import solve
+from ._score import scatter, solve
 from ._search import ROUGH, STEPS, Round, penalty, putting_back
 
 # Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
@@ -53,9 +53,8 @@ def _covariance(bench: Workbench, now: Judged) -> np.ndarray:
     g = now.stats.g @ known
     h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
     inverse = solve(h, np.eye(len(h)))
-    scores = (g - g.mean(0)) @ inverse
     model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    scatter_std = np.sqrt((scores**2).sum(0) * len(g) / max(len(g) - 1, 1))
+    scatter_std = np.sqrt(len(g) * scatter(g @ inverse))
     ratio = scatter_std / np.maximum(model_std, 1e-300)
     factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
     return inverse * np.outer(factor, factor)

@@ -285,6 +285,11 @@ class Workbench:
         """The model with the file's coefficients held at their values."""
         return dataclasses.replace(model, frozen=True)
 
+    def as_filed(self, model: Model) -> Model:
+        """The model with the file's coefficients at their values, and windows that begin as measured."""
+        z = np.concatenate([np.zeros(len(self.base)), model.z[len(self.base) :]])
+        return dataclasses.replace(model, z=z, delta=jnp.zeros_like(model.delta), cost=np.inf)
+
     def theta(self, model: Model, stretches: Stretches | None = None) -> np.ndarray:
         """The saturated model's parameters in each segment, of the training logs by default."""
         z = np.zeros(SLOTS)

@@ -5,6 +5,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
+# Windows on either side that one disturbance may push alike.
+NEIGHBOURS = 3
+
 
 @dataclasses.dataclass(frozen=True)
 class Reduced:
@@ -35,6 +38,22 @@ def step_with(
     rest = np.setdiff1d(np.arange(len(g)), held)
     step[rest] = -solve(h[np.ix_(rest, rest)], g[rest] + h[np.ix_(rest, held)] @ values)
     return step
+
+
+def scatter(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarray, "*columns"]:
+    """Variance of a sum over windows, per window, with what neighbours have in common.
+
+    A slow disturbance pushes several windows in a row the same way: it does not average out as noise
+    does. Source: Newey and West (1987), with their weights; never less than without neighbours.
+    """
+    count = len(per_window)
+    off = per_window - per_window.mean(0)
+    own = (off**2).sum(0)
+    alike = sum(
+        (1 - lag / (NEIGHBOURS + 1)) * 2 * (off[lag:] * off[:-lag]).sum(0)
+        for lag in range(1, min(NEIGHBOURS, count - 2) + 1)
+    )
+    return (own + np.maximum(alike, 0.0)) / max(count - 1, 1)
 
 
 def t_value(per_window: Float[np.ndarray, " windows"]) -> float:

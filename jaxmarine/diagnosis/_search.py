@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, step_with, t_value
+from ._score import Reduced, savings, scatter, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
@@ -26,7 +26,7 @@ EARLIEST = 3
 # Findings in one diagnosis at most; a model that needs more is wrong in another way.
 MOST = 6
 # Nats of evidence beyond the look-elsewhere correction that a finding needs.
-MARGIN = 8.0
+MARGIN = 12.0
 # A finding must save this many standard errors (over windows) of chi-square.
 SIGMAS = 2.0
 # Chi-square that some suspect must save before the costly starts are tried.
@@ -69,7 +69,7 @@ class Found:
 def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     """How much more the windows' scores scatter than white noise of the stated size would make them.
 
-    The median over suspects of (sum of squared scores) / (information), after what is known has been
+    The median over suspects of (variance of the summed scores) / (information), after what is known has been
     projected out; 1 for white noise, more under disturbances and coloured noise.
     """
     known, precision, _ = bench.known(model)
@@ -83,7 +83,7 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
         information = np.einsum("ij,wik,kj->j", combined, stats.h, combined, optimize=True)
         full = np.einsum("ij,wik,kj->j", own, stats.h, own, optimize=True)
         usable = information > 1e-6 * full + 1e-12
-        ratios += (((scores - scores.mean(0)) ** 2).sum(0)[usable] / information[usable]).tolist()
+        ratios += (len(scores) * scatter(scores)[usable] / information[usable]).tolist()
     return max(1.0, float(np.median(ratios)))
 
 
@@ -144,6 +144,10 @@ def _trials(
         more = trial.model.cost - trial.model.promised
         if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
             fitted = bench.refine(trial.model, STEPS, ROUGH)
+            if 2 * (fitted.cost - fitted.promised) > hopeful or not bench.sound(fitted):
+                # The coefficients of the file had bent to what the suspect explains, and stand in its way.
+                afresh = bench.refine(bench.as_filed(fitted), 2 * STEPS, ROUGH)
+                fitted = min(fitted, afresh, key=lambda m: (not bench.sound(m), m.cost))
             trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
     return [t for t in trials if bench.sound(t.model)]
 
