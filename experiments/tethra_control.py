@@ -8,7 +8,6 @@ noise. Writes results.json, results.md and figures 5.7 to 5.13.
 """
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,6 +27,7 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 import jaxmarine as jm
+from experiments._study import save_figure, study, write_results
 from experiments.thesis import plant
 from jaxmarine import control
 from jaxmarine._types import DOFS
@@ -47,7 +47,7 @@ GUESS_QUADRATIC = np.diag([60.0, 60.0, 60.0, 15.0, 15.0, 15.0])
 # Deviations by which a fit weighs what is measured: attitude exact but for rounding, velocities off by
 # up to 0.1 % of some 0.3 m/s, accelerations by up to 0.5 m/s² and 0.05 rad/s² (sec. 5.3.1, uniform).
 NOISE = np.array([np.nan] * 3 + [1e-4] * 3 + [1.7e-4] * 3 + [1e-4] * 3 + [0.29] * 3 + [0.029] * 3)
-# Without the accelerations, in whose place the slopes of the velocities are: off by some 1e-3 m/s² instead.
+# For acceleration ML, which takes slopes of the velocities in their place: those are off by some 1e-3 m/s².
 SLOPES = np.where(np.arange(len(NOISE)) < 12, NOISE, np.nan)
 WIDTH = 3.0  # of the prior of a weight, whose inputs and outputs are scaled
 # Windows with an initial state of their own [s]: of the log that is identified from, and under way.
@@ -77,7 +77,7 @@ class Size:
 
 
 FULL = Size(data=1000.0, network_data=400.0, hidden=8, dive=180.0, change=60.0)
-QUICK = Size(data=60.0, network_data=60.0, hidden=2, dive=45.0, change=10.0)
+QUICK = Size(data=60.0, network_data=30.0, hidden=2, dive=45.0, change=10.0)
 
 ML, TRAJECTORY, NETWORK = "grey box, acceleration ML", "grey box, trajectory loss", "network"
 Errors = dict[str, Any]
@@ -86,14 +86,22 @@ Errors = dict[str, Any]
 # --- vehicles -------------------------------------------------------------------------------------
 
 
-def tethra() -> jm.Vehicle:
-    """The plant, with a place for the sonar that holds nothing yet."""
-    craft = plant.tethra()
-    return craft.place(jm.Placed(Payload.neutral(craft)))
+def tethra(hidden: int) -> jm.Vehicle:
+    """The plant, with places for the sonar and for a network of damping, neither of which does anything yet.
+
+    As every model has both, with a network or without, the same programs serve them all.
+    """
+    craft, one = plant.tethra(), np.ones(len(DOFS))
+    untrained = mlp_damping(DOFS, one, one, jax.random.key(0), width=hidden)
+    return craft.place(jm.Placed(Payload.neutral(craft)), jm.Placed(untrained))
 
 
 def _sonar(vehicle: jm.Vehicle) -> Any:
-    return next(p.effect for p in vehicle.placed if isinstance(p.effect, Payload))
+    return vehicle.placed[-2].effect
+
+
+def _term(vehicle: jm.Vehicle) -> Any:
+    return vehicle.placed[-1].effect
 
 
 def mounted(vehicle: jm.Vehicle) -> jm.Vehicle:
@@ -139,13 +147,9 @@ def enlarged(vehicle: jm.Vehicle, share: float) -> jm.Vehicle:
 _SIZE = np.diag(GUESS_LINEAR)
 
 
-def grey_box(
-    start: jm.Vehicle,
-    log: jm.Log,
-    loss: Literal["trajectory", "one_step"],
-    noise: Float[np.ndarray, "18"] = NOISE,
-) -> jm.Vehicle:
+def grey_box(start: jm.Vehicle, log: jm.Log, loss: Literal["trajectory", "one_step"]) -> jm.Vehicle:
     """M, all of D_l and the diagonal of D_q, by trajectories or by maximum likelihood of accelerations."""
+    noise = SLOPES if loss == "one_step" else NOISE
     anything = np.full((6, 6), np.inf)
     prior = (anything, anything, np.where(np.eye(6) > 0, np.inf, 0.0))
     fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=noise, throw=False)
@@ -154,7 +158,7 @@ def grey_box(
 
 def weights(vehicle: jm.Vehicle) -> Any:
     """The weights of the damping network."""
-    layers = vehicle.placed[-1].effect.network.layers  # type: ignore[attr-defined]
+    layers = _term(vehicle).network.layers
     return [layer.weight for layer in layers], [layer.bias for layer in layers[:-1]]
 
 
@@ -163,18 +167,16 @@ def network(mass: jm.Vehicle, start: jm.Vehicle, log: jm.Log, hidden: int, seed:
     speed = np.abs(log.channels[:, 6:12]).max(axis=0)
     force = np.diag(GUESS_LINEAR) * speed
     term = mlp_damping(DOFS, speed, force, jax.random.key(seed), width=hidden)
-    begun = eqx.tree_at(lambda v: v.added_mass, start, mass.added_mass).place(jm.Placed(term))
+    begun = eqx.tree_at(lambda v: (v.added_mass, _term(v)), start, (mass.added_mass, term))
     prior = jax.tree.map(lambda w: np.full(w.shape, WIDTH), weights(begun))
     return jm.fit(
         begun, log, weights, prior=prior, window=STRETCH, noise=NOISE, max_steps=40, throw=False
     ).vehicle
 
 
-def identified(
-    truth: jm.Vehicle, log: jm.Log, noise: Float[np.ndarray, "18"], size: Size, seed: int
-) -> dict[str, jm.Vehicle]:
-    """The models of a log, which is of the true craft; `noise` says what accelerations are taken from."""
-    ml = grey_box(guess(truth), log, "one_step", noise)
+def identified(truth: jm.Vehicle, log: jm.Log, size: Size, seed: int) -> dict[str, jm.Vehicle]:
+    """The models of a log, which is of the true craft."""
+    ml = grey_box(guess(truth), log, "one_step")
     trajectory = grey_box(ml, log, "trajectory")
     short = log.between(log.t[0], log.t[0] + size.network_data)
     net = network(trajectory, guess(truth), short, size.hidden, seed)
@@ -205,7 +207,7 @@ def times(path: control.Path) -> Float[np.ndarray, " times"]:
 
 def at_rest(reference: control.Reference) -> jm.State:
     """The state in which the reference begins."""
-    return jax.tree.map(lambda a: a[0], reference.states)
+    return jax.tree.map(lambda a: np.asarray(a)[0], reference.states)
 
 
 def wrench_for(model: jm.Vehicle, path: control.Path, t: Float[np.ndarray, " times"]) -> Array:
@@ -269,6 +271,7 @@ def learning(
             truth = dragging(mounted(truth))
             known = control.Learned(mounted(known.vehicle))
         run = control.follow(truth, path.at(t), wrench_for(known.vehicle, path, t), state)
+        run = jax.tree.map(np.asarray, run)
         state = jax.tree.map(lambda a: a[-1], run.trajectory.states)
         run = jax.tree.map(lambda a: a[:-1], run)
         parts.append(run.trajectory)
@@ -276,7 +279,7 @@ def learning(
             ahead = np.asarray(path.at(t + EVERY).states.velocity)
             known = learner.update(known, measured(run, truth, 1000 * seed + k), ahead)
             verdicts.append((float(t[-1]), known.verdict))
-    return Dive(jax.tree.map(lambda *a: jnp.concatenate(a), *parts), tuple(verdicts))
+    return Dive(jax.tree.map(lambda *a: np.concatenate(a), *parts), tuple(verdicts))
 
 
 # --- errors ---------------------------------------------------------------------------------------
@@ -301,7 +304,7 @@ def errors(trajectory: jm.Trajectory, path: control.Path, since: float = 0.0) ->
 
 
 @dataclasses.dataclass
-class Study:
+class Cases:
     """What the cases share, and what they find: `rows` of errors, and the first seed's dives to draw."""
 
     truth: jm.Vehicle
@@ -325,61 +328,61 @@ class Study:
         ]
 
 
-def ideal(study: Study) -> None:
+def ideal(cases: Cases) -> None:
     """Case I: the exact model, one that is 10 % off, and models identified from ideal data."""
-    truth, size = study.truth, study.size
+    truth, size = cases.truth, cases.size
     log = plant.dive(truth, size.data, 0)
     known = {"exact model": truth, "all parameters +10 %": enlarged(truth, 0.1)}
-    for name, model in (known | identified(truth, log, NOISE, size, 0)).items():
-        study.note("I", name, 0, followed(truth, model, study.path).trajectory)
-    study.note("I", "exact model, four thrusters", 0, through_thrusters(truth, study.path))
+    for name, model in (known | identified(truth, log, size, 0)).items():
+        cases.note("I", name, 0, followed(truth, model, cases.path).trajectory)
+    cases.note("I", "exact model, four thrusters", 0, through_thrusters(truth, cases.path))
 
 
-def noisy(study: Study, seed: int) -> dict[str, jm.Vehicle]:
+def noisy(cases: Cases, seed: int) -> dict[str, jm.Vehicle]:
     """Case II: models identified from the text's noise, as they are and updated under way."""
-    truth, size = study.truth, study.size
+    truth, size = cases.truth, cases.size
     log = plant.noisy(plant.dive(truth, size.data, seed), "text", seed)
-    models = identified(truth, log, SLOPES, size, seed)
+    models = identified(truth, log, size, seed)
     for name, model in models.items():
-        study.note("II", name, seed, followed(truth, model, study.path).trajectory)
+        cases.note("II", name, seed, followed(truth, model, cases.path).trajectory)
     for name in (ML, NETWORK):
-        run = learning(truth, models[name], LEARNER, study.path, np.inf, seed)
-        study.note_learning("II", f"{name}, updated under way", seed, run)
+        run = learning(truth, models[name], LEARNER, cases.path, np.inf, seed)
+        cases.note_learning("II", f"{name}, updated under way", seed, run)
     return models
 
 
-def changed(study: Study, models: dict[str, jm.Vehicle], seed: int) -> None:
+def changed(cases: Cases, models: dict[str, jm.Vehicle], seed: int) -> None:
     """Case III: the sonar, with a model whose damping is stale and with one that learns."""
-    change = study.size.change
+    change = cases.size.change
     for name in (TRAJECTORY, NETWORK):
         for learner, words in ((None, "stale"), (LEARNER, "learning")):
-            run = learning(study.truth, models[name], learner, study.path, change, seed)
-            study.note_learning("III", f"{name}, {words}", seed, run)
-            late = errors(run.trajectory, study.path, change + SETTLED)
-            study.rows.append({"case": "III, late", "model": f"{name}, {words}", "seed": seed, **late})
+            run = learning(cases.truth, models[name], learner, cases.path, change, seed)
+            cases.note_learning("III", f"{name}, {words}", seed, run)
+            late = errors(run.trajectory, cases.path, change + SETTLED)
+            cases.rows.append({"case": "III, late", "model": f"{name}, {words}", "seed": seed, **late})
 
 
-def augmented(study: Study, models: dict[str, jm.Vehicle], seed: int) -> None:
+def augmented(cases: Cases, models: dict[str, jm.Vehicle], seed: int) -> None:
     """Feedback with and without feedforward, in a current from a random direction and realistic noise."""
     rng = np.random.default_rng([seed, 3])
-    towards, t = rng.uniform(0.0, 2 * np.pi), times(study.path)
+    towards, t = rng.uniform(0.0, 2 * np.pi), times(cases.path)
     flow = [CURRENT * np.cos(towards), CURRENT * np.sin(towards), 0.0]
-    truth = study.truth.place(jm.Placed(SteadyCurrent(*map(jnp.asarray, flow))))
+    truth = cases.truth.place(jm.Placed(SteadyCurrent(*map(jnp.asarray, flow))))
     noise = np.repeat([plant.REALISTIC[kind] for kind in ("position", "attitude", "velocity", "rate")], 3)
     seen = jnp.asarray(noise * rng.standard_normal((len(t), 12)))
-    feedback = control.pole_placement(guess(study.truth).mass_matrix, FREQUENCY)
-    reference = study.path.at(t)
-    halfway = study.path.at(t + DT / 2)
+    feedback = control.pole_placement(guess(cases.truth).mass_matrix, FREQUENCY)
+    reference = cases.path.at(t)
+    halfway = cases.path.at(t + DT / 2)
     still = eqx.tree_at(lambda r: (r.states.velocity, r.acceleration), halfway, replace_fn=jnp.zeros_like)
     wrenches = {
         "PD": jnp.zeros((len(t), 6)),
-        "PD and restoring forces": control.feedforward(study.truth, still),
+        "PD and restoring forces": control.feedforward(cases.truth, still),
         **{f"PD and {name}": control.feedforward(models[name], halfway) for name in models},
-        "PD and exact model": control.feedforward(study.truth, halfway),
+        "PD and exact model": control.feedforward(cases.truth, halfway),
     }
     for name, wrench in wrenches.items():
         run = control.follow(truth, reference, wrench, at_rest(reference), feedback, seen)
-        study.note("augmented", name, seed, run.trajectory)
+        cases.note("augmented", name, seed, run.trajectory)
 
 
 # --- what is written ------------------------------------------------------------------------------
@@ -503,20 +506,20 @@ STYLES = tuple(
 )
 
 
-def figures(study: Study, out: Path) -> None:
+def figures(cases: Cases, out: Path) -> None:
     """Figures 5.7 to 5.13, the velocity errors of case III, and the position errors with feedback."""
     for number, (title, wanted) in FIGURES.items():
-        saved(_two_views(study, title, wanted), out / f"figure_{number.replace('.', '_')}")
-    t = times(study.path)
-    reference = study.path.at(t)
+        save_figure(_two_views(cases, title, wanted), out / f"figure_{number.replace('.', '_')}")
+    t = times(cases.path)
+    reference = cases.path.at(t)
     for case, name, title, unit in (
         ("III", "case_iii_velocity", "Case III: velocity error", "m/s"),
         ("augmented", "augmented", "With feedback: position error", "m"),
     ):
         figure, ax = plt.subplots(figsize=(8, 4), layout="constrained")
-        keys = [key for key in study.drawn if key[0] == case]
+        keys = [key for key in cases.drawn if key[0] == case]
         for style, key in zip(STYLES, keys, strict=False):
-            states = study.drawn[key].states
+            states = cases.drawn[key].states
             off = (
                 states.velocity[:, :3] - reference.states.velocity[:, :3]
                 if case == "III"
@@ -524,21 +527,21 @@ def figures(study: Study, out: Path) -> None:
             )
             ax.semilogy(t[1:], np.linalg.norm(off, axis=1)[1:], **style, lw=1.5, label=key[1])
         if case == "III":
-            ax.axvline(study.size.change, color="black", ls=":", lw=1, label="sonar mounted")
+            ax.axvline(cases.size.change, color="black", ls=":", lw=1, label="sonar mounted")
         ax.set(title=title, xlabel="time [s]", ylabel=f"length of the error [{unit}]")
         ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        saved(figure, out / name)
+        save_figure(figure, out / name)
 
 
-def _two_views(study: Study, title: str, keys: list[tuple[str, str]]) -> Figure:
+def _two_views(cases: Cases, title: str, keys: list[tuple[str, str]]) -> Figure:
     """Horizontal projection and depth over time, the reference as a broad band beneath."""
     figure, (plan, depth) = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained")
-    t = times(study.path)
-    wanted = np.asarray(study.path.at(t).states.position)
+    t = times(cases.path)
+    wanted = np.asarray(cases.path.at(t).states.position)
     plan.plot(wanted[:, 1], wanted[:, 0], color="0.8", lw=5)
     depth.plot(t, wanted[:, 2], color="0.8", lw=5, label="reference")
     for style, key in zip(STYLES, keys, strict=False):
-        position = np.asarray(study.drawn[key].states.position)
+        position = np.asarray(cases.drawn[key].states.position)
         plan.plot(position[:, 1], position[:, 0], **style, lw=1.4)
         depth.plot(t, position[:, 2], **style, lw=1.4, label=key[1])
     plan.set(xlabel="y, east [m]", ylabel="x, north [m]", aspect="equal")
@@ -549,29 +552,18 @@ def _two_views(study: Study, title: str, keys: list[tuple[str, str]]) -> Figure:
     return figure
 
 
-def saved(figure: Figure, path: Path) -> None:
-    for ending in ("png", "svg"):
-        figure.savefig(path.with_name(f"{path.name}.{ending}"), dpi=150)
-    plt.close(figure)
-
-
-def write(study: Study, out: Path) -> None:
+def write(cases: Cases, out: Path) -> None:
     """Numbers, tables and figures of what there is so far."""
     results = {
-        "rows": study.rows,
-        "summary": summary(study.rows),
-        "targets": targets(study.rows),
-        "verdicts": study.verdicts,
+        "rows": cases.rows,
+        "summary": summary(cases.rows),
+        "targets": targets(cases.rows),
+        "verdicts": cases.verdicts,
     }
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-    (out / "results.md").write_text(markdown(results))
-    figures(study, out)
+    write_results(out, results, markdown(results))
+    figures(cases, out)
 
 
-app = typer.Typer(add_completion=False)
-
-
-@app.command(help=str(__doc__).splitlines()[0])
 def main(
     out: Annotated[Path, typer.Option(help="Folder for results and figures.")],
     seeds: Annotated[int, typer.Option(min=1, help="Operators and noises of the cases with noise.")] = 5,
@@ -579,23 +571,23 @@ def main(
         bool, typer.Option(help="A minute of data, a short dive, two hidden units, one seed.")
     ] = False,
 ) -> None:
-    out.mkdir(parents=True, exist_ok=True)
+    """Tethra on a spiral dive: by feedforward, learning under way, and with feedback."""
     size = QUICK if quick else FULL
-    study = Study(tethra(), dive(size), size)
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    with study(out, quick), bar:
         task = bar.add_task("case I")
-        ideal(study)
+        cases = Cases(tethra(size.hidden), dive(size), size)
+        ideal(cases)
         for seed in range(1 if quick else seeds):
             bar.update(task, description=f"cases II and III, seed {seed}")
-            models = noisy(study, seed)
-            changed(study, models, seed)
-            augmented(study, models, seed)
-            write(study, out)
-    console.print((out / "results.md").read_text(), markup=False)
+            models = noisy(cases, seed)
+            changed(cases, models, seed)
+            augmented(cases, models, seed)
+            write(cases, out)
+    console.print((out / "results.md").read_text(encoding="utf-8"), markup=False)
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    app()
+    typer.run(main)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import jaxmarine as jm
@@ -243,13 +244,16 @@ def test_an_update_is_taken_only_where_it_predicts_better(tethra, monkeypatch):
 
 
 def test_a_quick_study_learns_the_changed_damping(tmp_path):
-    result = CliRunner().invoke(tethra_control.app, ["--out", str(tmp_path), "--quick"])
+    app = typer.Typer()
+    app.command()(tethra_control.main)
+    result = CliRunner().invoke(app, ["--out", str(tmp_path), "--quick"], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     results = json.loads((tmp_path / "results.json").read_text())
     found = {(row["case"], row["model"]): row for row in results["summary"]}
-    # From ideal data the grey boxes are exact, and a tenth too much of everything is decimetres off.
-    for name in tethra_control.ML, tethra_control.TRAJECTORY:
-        assert max(found["I", name]["rms_m"]) < 1e-3
+    # From ideal data trajectories are exact, slopes of velocities cost centimetres, and a tenth too much of
+    # everything is decimetres off.
+    for name, most in ((tethra_control.TRAJECTORY, 1e-3), (tethra_control.ML, 0.03)):
+        assert max(found["I", name]["rms_m"]) < most
     assert max(found["I", "all parameters +10 %"]["rms_m"]) > 0.1
     # Beside a network of two units the classical terms learn the changed damping as well.
     for name in tethra_control.TRAJECTORY, tethra_control.NETWORK:

@@ -71,11 +71,12 @@ def follow(
         raise ValueError(f"Argument `wrench` must be ({len(reference.t)}, 6), but is {wrench.shape}.")
     dt = float(step_lengths(reference.t).max())
     errors = jnp.zeros((len(reference.t), 12)) if errors is None else errors
-    return _run(vehicle, reference, wrench, start, feedback, errors, substeps(vehicle, dt))
+    split = jnp.asarray(substeps(vehicle, dt))
+    return _run(vehicle, reference, wrench, start, feedback, errors, split)
 
 
 @eqx.filter_jit
-def _run(vehicle: Vehicle, reference: Reference, wrench, start, feedback, errors, split: int) -> Run:
+def _run(vehicle: Vehicle, reference: Reference, wrench, start, feedback, errors, split) -> Run:
     plant = vehicle.plant()
 
     def step(state: State, now):

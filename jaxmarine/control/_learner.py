@@ -126,7 +126,7 @@ class Learner:
         except np.linalg.LinAlgError:
             # Where the roll-outs diverge from the start the information is singular: nothing to go by.
             return None
-        finite = all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(vehicle))
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(vehicle))
         return vehicle if finite else None
 
 
@@ -145,8 +145,8 @@ def dissipates(vehicle: Vehicle, velocities: Float[Array, "points 6"]) -> bool:
     nu . (balance(nu) - balance(0)) on an even keel; the Coriolis term in it does no work. True within
     a millionth of the largest power, so that a hull at rest passes.
     """
-    power = _power(vehicle, velocities)
-    return bool((power >= -1e-6 * jnp.abs(power).max()).all())
+    power = np.asarray(_power(vehicle, velocities))
+    return bool((power >= -1e-6 * np.abs(power).max()).all())
 
 
 @eqx.filter_jit

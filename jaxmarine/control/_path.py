@@ -44,7 +44,7 @@ class Path:
         inside = ((t >= first) & (t <= last))[:, None]
         now = np.clip(t, first, last)
         pose, rate, second = (jnp.asarray(self.pose(now, order)) for order in range(3))
-        states, acceleration = jax.vmap(_moving)(pose, rate * inside, second * inside)
+        states, acceleration = _moving(pose, rate * inside, second * inside)
         return Reference(jnp.asarray(t), states, acceleration)
 
 
@@ -56,6 +56,8 @@ def _velocity(pose: Float[Array, "6"], rate: Float[Array, "6"]) -> Velocity:
     return jnp.concatenate([apply(rotation(attitude).T, rate[:3]), 2.0 * compose(back, change)[1:]])
 
 
+@jax.jit
+@jax.vmap
 def _moving(pose, rate, second) -> tuple[State, Velocity]:
     velocity, acceleration = jax.jvp(_velocity, (pose, rate), (rate, second))
     return State(pose[:3], from_euler(pose[3:]), velocity, jnp.zeros(0)), acceleration
