@@ -47,7 +47,7 @@ GUESS_QUADRATIC = np.diag([60.0, 60.0, 60.0, 15.0, 15.0, 15.0])
 # Deviations by which a fit weighs what is measured: attitude exact but for rounding, velocities off by
 # up to 0.1 % of some 0.3 m/s, accelerations by up to 0.5 m/s² and 0.05 rad/s² (sec. 5.3.1, uniform).
 NOISE = np.array([np.nan] * 3 + [1e-4] * 3 + [1.7e-4] * 3 + [1e-4] * 3 + [0.29] * 3 + [0.029] * 3)
-# For acceleration ML, which takes slopes of the velocities in their place: those are off by some 1e-3 m/s².
+# For acceleration ML from noisy logs, which takes slopes of the velocities instead: off by some 1e-3 m/s².
 SLOPES = np.where(np.arange(len(NOISE)) < 12, NOISE, np.nan)
 WIDTH = 3.0  # of the prior of a weight, whose inputs and outputs are scaled
 # Windows with an initial state of their own [s]: of the log that is identified from, and under way.
@@ -147,9 +147,13 @@ def enlarged(vehicle: jm.Vehicle, share: float) -> jm.Vehicle:
 _SIZE = np.diag(GUESS_LINEAR)
 
 
-def grey_box(start: jm.Vehicle, log: jm.Log, loss: Literal["trajectory", "one_step"]) -> jm.Vehicle:
+def grey_box(
+    start: jm.Vehicle,
+    log: jm.Log,
+    loss: Literal["trajectory", "one_step"],
+    noise: Float[np.ndarray, "18"] = NOISE,
+) -> jm.Vehicle:
     """M, all of D_l and the diagonal of D_q, by trajectories or by maximum likelihood of accelerations."""
-    noise = SLOPES if loss == "one_step" else NOISE
     anything = np.full((6, 6), np.inf)
     prior = (anything, anything, np.where(np.eye(6) > 0, np.inf, 0.0))
     fit = jm.fit(start, log, dynamics, loss=loss, prior=prior, window=STRETCH, noise=noise, throw=False)
@@ -174,9 +178,11 @@ def network(mass: jm.Vehicle, start: jm.Vehicle, log: jm.Log, hidden: int, seed:
     ).vehicle
 
 
-def identified(truth: jm.Vehicle, log: jm.Log, size: Size, seed: int) -> dict[str, jm.Vehicle]:
-    """The models of a log, which is of the true craft."""
-    ml = grey_box(guess(truth), log, "one_step")
+def identified(
+    truth: jm.Vehicle, log: jm.Log, noise: Float[np.ndarray, "18"], size: Size, seed: int
+) -> dict[str, jm.Vehicle]:
+    """The models of a log, which is of the true craft; `noise` says what accelerations are taken from."""
+    ml = grey_box(guess(truth), log, "one_step", noise)
     trajectory = grey_box(ml, log, "trajectory")
     short = log.between(log.t[0], log.t[0] + size.network_data)
     net = network(trajectory, guess(truth), short, size.hidden, seed)
@@ -333,7 +339,7 @@ def ideal(cases: Cases) -> None:
     truth, size = cases.truth, cases.size
     log = plant.dive(truth, size.data, 0)
     known = {"exact model": truth, "all parameters +10 %": enlarged(truth, 0.1)}
-    for name, model in (known | identified(truth, log, size, 0)).items():
+    for name, model in (known | identified(truth, log, NOISE, size, 0)).items():
         cases.note("I", name, 0, followed(truth, model, cases.path).trajectory)
     cases.note("I", "exact model, four thrusters", 0, through_thrusters(truth, cases.path))
 
@@ -342,7 +348,7 @@ def noisy(cases: Cases, seed: int) -> dict[str, jm.Vehicle]:
     """Case II: models identified from the text's noise, as they are and updated under way."""
     truth, size = cases.truth, cases.size
     log = plant.noisy(plant.dive(truth, size.data, seed), "text", seed)
-    models = identified(truth, log, size, seed)
+    models = identified(truth, log, SLOPES, size, seed)
     for name, model in models.items():
         cases.note("II", name, seed, followed(truth, model, cases.path).trajectory)
     for name in (ML, NETWORK):

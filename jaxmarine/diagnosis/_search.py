@@ -140,11 +140,13 @@ def _trials(
         trials.append(Trial(member, fitted, 2 * (model.cost - fitted.cost)))
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
+    leading = HOPEFUL * max([2 * (model.cost - t.model.promised) for t in trials], default=0.0)
     for i, trial in enumerate(trials):
         more = trial.model.cost - trial.model.promised
         if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
             fitted = bench.refine(trial.model, STEPS, ROUGH)
-            if 2 * (fitted.cost - fitted.promised) > hopeful or not bench.sound(fitted):
+            stuck = 2 * (fitted.cost - fitted.promised) > hopeful or not bench.sound(fitted)
+            if stuck and trial.saved + 2 * more > leading:
                 # The coefficients of the file had bent to what the suspect explains, and stand in its way.
                 afresh = bench.refine(bench.as_filed(fitted), 2 * STEPS, ROUGH)
                 fitted = min(fitted, afresh, key=lambda m: (not bench.sound(m), m.cost))
