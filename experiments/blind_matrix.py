@@ -30,6 +30,7 @@ from rich.progress import Progress
 from statsmodels.stats.proportion import proportion_confint
 
 import jaxmarine as jm
+from experiments._study import save_figure, write_results
 from experiments.blind import cases, grading
 from jaxmarine.diagnosis import gain_of
 from jaxmarine.effects import place
@@ -79,7 +80,7 @@ def written(out: Path, block: int, seed: int, ships: Sequence[str], content: dic
 # --- one log --------------------------------------------------------------------------------------
 
 
-def true_gain(folder: Path, vehicle: jm.Vehicle, train: jm.Log, test: jm.Log, answer: Row) -> float:
+def true_gain(vehicle: jm.Vehicle, train: jm.Log, test: jm.Log, answer: Row) -> float:
     """Held-out error ratio of the true structure, refitted from the true values."""
     causes = []
     for hidden in answer["findings"]:
@@ -90,7 +91,7 @@ def true_gain(folder: Path, vehicle: jm.Vehicle, train: jm.Log, test: jm.Log, an
     return gain_of(vehicle, train, test, causes).ratio
 
 
-def first_is_right(diagnosis: Row) -> float | None:
+def probability_of_first(diagnosis: Row) -> float | None:
     """What the evidences say: the probability that the first name is the right one of those weighed."""
     named = [f for f in diagnosis["findings"] if f["effect"] != "unknown"]
     if not named:
@@ -110,18 +111,18 @@ def row(folder: Path) -> Row:
     seconds = time.perf_counter() - began
     options = answer["options"]
     kept = ("vehicle", "excitation", "severity", "floor", "noise", "disturbance", "outside")
-    true_ratio = true_gain(folder, vehicle, train, test, answer) if answer.get("findings") else None
+    true_ratio = true_gain(vehicle, train, test, answer) if answer.get("findings") else None
     return {
         "case": folder.name,
         "kind": grading.kind(answer),
         **{name: options.get(name) for name in kept},
         "hidden": [f["accept"][0] for f in answer.get("findings", [])] or options.get("outside"),
         **grading.grade(answer, diagnosis),
-        "since": grading.late(answer, diagnosis),
+        "since": grading.timely(answer, diagnosis),
         "verdict": diagnosis["verdict"],
         "found": [[f["effect"], f["target"], f["log_evidence"]] for f in diagnosis["findings"]],
         "depends_on": diagnosis["residual_after"]["depends_on"],
-        "probability": first_is_right(diagnosis),
+        "probability": probability_of_first(diagnosis),
         "parameters": grading.parameter_errors(answer, diagnosis),
         "ratio": diagnosis["gain"]["ratio"],
         "true_ratio": true_ratio,
@@ -165,17 +166,16 @@ def share(rows: Sequence[Row], key: str) -> Row:
     return {"right": right, "of": count, "low": low, "high": high}
 
 
-def parameters(rows: Sequence[Row]) -> tuple[list[float], list[bool], list[str]]:
-    """Relative errors of parameters that are not zero, whether the 95 % interval holds the truth, names."""
-    errors, covered, names = [], [], []
+def parameters(rows: Sequence[Row]) -> tuple[list[float], list[bool]]:
+    """Relative errors of parameters that are not zero, and whether the 95 % interval holds the truth."""
+    errors, covered = [], []
     for r in rows:
         for p in r["parameters"]:
             off = abs(p["value"] - p["true"])
             covered.append(off <= 1.96 * p["std"])
-            names.append(p["parameter"])
             if p["true"]:
                 errors.append(off / abs(p["true"]))
-    return errors, covered, names
+    return errors, covered
 
 
 def summary(rows: Sequence[Row]) -> Row:
@@ -186,7 +186,7 @@ def summary(rows: Sequence[Row]) -> Row:
         found = share([r for r in seen if r["kind"] == kind], key)
         met = found["of"] > 0 and found["right"] >= least * found["of"]
         out["targets"].append({"text": text, **found, "at_least": least, "met": met})
-    errors, covered, _ = parameters(seen)
+    errors, covered = parameters(seen)
     out["parameter_error_median"] = float(np.median(errors)) if errors else None
     out["covered"] = {"right": int(sum(covered)), "of": len(covered)}
     ratios = [r["ratio"] / r["true_ratio"] for r in seen if r["true_ratio"]]
@@ -237,12 +237,6 @@ def table(s: Row) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _saved(plot, path: Path) -> None:
-    for end in ("png", "svg"):
-        plot.savefig(path.with_suffix(f".{end}"), dpi=150)
-    plt.close(plot)
-
-
 def _marked(ax, x: float, found: Row) -> None:
     """A share with its interval and the number of logs."""
     rate = found["right"] / found["of"]
@@ -267,7 +261,7 @@ def reliability(rows: Sequence[Row], path: Path) -> None:
         ylim=(0, 1.05),
     )
     ax.spines[["top", "right"]].set_visible(False)
-    _saved(plot, path)
+    save_figure(plot, path)
 
 
 def detection(rows: Sequence[Row], path: Path) -> None:
@@ -288,7 +282,7 @@ def detection(rows: Sequence[Row], path: Path) -> None:
     ax.set_xticks([1.1, 1.3, 2, 3, 5, 8], ["1.1", "1.3", "2", "3", "5", "8"])
     ax.minorticks_off()
     ax.spines[["top", "right"]].set_visible(False)
-    _saved(plot, path)
+    save_figure(plot, path)
 
 
 def main(
@@ -299,7 +293,7 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="Three logs of one craft.")] = False,
 ) -> None:
     """Draws logs that hide something, diagnoses and grades them."""
-    folder = out / "cases"
+    folder = out / (f"cases_{seed}" + ("_quick" if quick else ""))
     folder.mkdir(parents=True, exist_ok=True)
     ships, content = SHIPS, BLOCK
     if quick:
@@ -318,8 +312,7 @@ def main(
             bar.advance(diagnosing, future.result())
     rows = [json.loads(path.read_text()) for path in sorted(folder.glob("*/row.json"))]
     found = summary(rows)
-    (out / "results.json").write_text(json.dumps({"seed": seed, **found, "rows": rows}, indent=1) + "\n")
-    (out / "results.md").write_text(table(found))
+    write_results(out, {"seed": seed, **found, "rows": rows}, table(found))
     reliability(rows, out / "reliability.png")
     detection(rows, out / "detection.png")
     print((out / "results.md").read_text())

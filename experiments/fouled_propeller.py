@@ -141,7 +141,7 @@ def true_thrust(
 
 
 def judged(truth: jm.Vehicle, fit: jm.Fit, log: jm.Log) -> dict[str, Any]:
-    """Errors of each thruster's curve over the commands visited, of its lag, and of the damping."""
+    """Errors of each curve, evenly over the commands' range and over those visited; of lag and damping."""
     assert log.commands is not None
     largest = np.asarray(truth.thrusters.max_thrust)
     out: dict[str, Any] = {"steps": fit.steps, "converged": fit.converged}

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxmarine as jm
-from experiments._study import ScalarEffect, write_results
+from experiments._study import ScalarEffect, save_figure, write_results
 from jaxmarine._types import CHANNELS as NAMES
 from jaxmarine._types import Scalar, Wrench
 from jaxmarine.effects import CATALOGUE, Craft, Motion, Suspect, WrenchEffect, place
@@ -472,8 +472,7 @@ def figure(vehicle: jm.Vehicle, runs: Sequence[jm.Log], path: Path) -> None:
         axes[-1, column].set_xlabel("t (s)")
     axes[0, 0].legend(fontsize=8)
     plot.tight_layout()
-    plot.savefig(path, dpi=90)
-    plt.close(plot)
+    save_figure(plot, path)
 
 
 def chosen(start: jm.Vehicle, runs: Sequence[jm.Log], steps: int) -> tuple[Candidate, dict]:

@@ -617,10 +617,10 @@ def _force(vehicle: jm.Vehicle, nu: Float[Array, "points 3"]):
     return jax.vmap(one)(nu)
 
 
-def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
+def draw_forces(truth: jm.Vehicle, first: Case, out: Path) -> None:
     """Surge force over surge speed, sway force over sway at speed, yaw moment over yaw rate at speed."""
     plot, axes = plt.subplots(1, 3, figsize=(11, 3.7), layout="constrained")
-    seen = network(last.vehicles["hybrid, trajectory"]).seen
+    seen = network(first.vehicles["hybrid, trajectory"]).seen
     cases = ((0, 0.9, "u [m/s]", "X [N]"), (1, 0.4, "v [m/s], u = 0.2 m/s", "Y [N]"))
     cases += ((2, 0.6, "r [rad/s], u = 0.2 m/s", "N [N m]"),)
     for ax, (axis, reach, label, what) in zip(axes, cases, strict=True):
@@ -632,7 +632,7 @@ def draw_forces(truth: jm.Vehicle, last: Case, out: Path) -> None:
         inside = np.asarray(jax.vmap(seen)(points)) > 0.5
         if inside.any():
             ax.axvspan(grid[inside].min(), grid[inside].max(), color="0.9", label="seen")
-        named = {"true": truth} | {name: last.vehicles[name] for name in list(STYLE)[1:4]}
+        named = {"true": truth} | {name: first.vehicles[name] for name in list(STYLE)[1:4]}
         for name, vehicle in named.items():
             label_of = SHOWN.get(name, name).replace("the same", "with network")
             ax.plot(grid, force(vehicle, points)[:, axis], lw=1.3, label=label_of, **STYLE[name])

@@ -409,7 +409,7 @@ COLOURS = {
 
 
 def figure(all_tubes: list[Tube], mass: Mass, folder: Path) -> None:
-    """The elements from the side, from ahead and from above (as figure 5.3), with the centres."""
+    """The elements from the side, from behind and from above (as figure 5.3), with the centres."""
     views = {"from the side": (0, 2), "from behind": (1, 2), "from above": (0, 1)}
     names = ("x, ahead (m)", "y, starboard (m)", "z, down (m)")
     sheet, axes = plt.subplots(

@@ -24,7 +24,7 @@ import typer
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import save_figure, study
+from experiments._study import save_figure, study, write_results
 from experiments.thesis import baselines, plant
 from experiments.thesis.baselines import Estimate
 from jaxmarine.fitting import damping_matrices, damping_targets
@@ -235,7 +235,7 @@ def compared(found: Mapping[str, Any], true, axes: np.ndarray) -> dict:
 # --- what is written -----------------------------------------------------------------------------
 
 
-def spread(parts: list[dict], case: str, of: str = "errors") -> dict:
+def over_seeds(parts: list[dict], case: str, of: str = "errors") -> dict:
     """Median, least and largest error over seeds: method -> matrix -> kind."""
     own = [p[of] for p in parts if p["case"] == case]
     out: dict[str, Any] = {}
@@ -255,24 +255,24 @@ def number(x: float) -> str:
     return f"{x:.3g}" if x < 1000 else f"{x:.0f}"
 
 
-def cell(values: Mapping[str, list[float]], width: bool) -> str:
-    """Diagonal / off-diagonal / zero, each as median, with the least and largest below."""
+def cell(values: Mapping[str, list[float]]) -> str:
+    """Diagonal / off-diagonal / zero, each as median, with the least and largest in brackets."""
     words = []
     for kind in KINDS:
         if kind in values:
             middle, low, high = values[kind]
-            words.append(number(middle) + (f" ({number(low)}..{number(high)})" if width else ""))
+            words.append(f"{number(middle)} ({number(low)}..{number(high)})")
     return " / ".join(words)
 
 
-def errors_table(found: dict, printed: Mapping[str, Any] | None = None, width: bool = True) -> list[str]:
+def errors_table(found: dict, printed: Mapping[str, Any] | None = None) -> list[str]:
     lines = ["| method | M diag / off / zero | D_l diag / off / zero | D_q diag |", "|---|---|---|---|"]
     for method, by_matrix in found.items():
         row = []
         for m in MATRICES:
             values = by_matrix.get(m, {})
             keep = {k: v for k, v in values.items() if m != "D_q" or k == "diagonal"}
-            row.append(cell(keep, width) or "given")
+            row.append(cell(keep) or "given")
         lines.append(f"| {method} | " + " | ".join(row) + " |")
         if printed and method in printed:
             words = []
@@ -467,18 +467,17 @@ def figure(parts: list[dict], out: Path) -> None:
 def write(parts: list[dict], out: Path) -> None:
     """The results as numbers and tables; called after every part."""
     cases = list(dict.fromkeys(p["case"] for p in parts))
-    tables = {c: spread(parts, c) for c in cases}
+    tables = {c: over_seeds(parts, c) for c in cases}
     results = {
         "tables": tables,
-        "driven_tables": {c: spread(parts, c, "driven_errors") for c in cases},
+        "driven_tables": {c: over_seeds(parts, c, "driven_errors") for c in cases},
         "claims": claims(tables),
         "bars": reached(tables),
         "network_costs": [{"case": p["case"], "seed": p["seed"], "costs": p["network_costs"]} for p in parts],
         "fits": [{"case": p["case"], "seed": p["seed"], "fits": p["fits"]} for p in parts],
         "cpu_s": sum(p["cpu_s"] for p in parts),
     }
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-    (out / "tables.md").write_text(markdown(results, parts))
+    write_results(out, results, markdown(results, parts))
 
 
 def main(

@@ -135,6 +135,16 @@ def test_a_rich_log_excites_every_axis(rich):
     assert sum(rich["surge"].coverage.velocity_shares) == pytest.approx(1.0)
 
 
+def test_the_printed_table_has_a_number_below_each_heading(rich):
+    lines = str(rich).splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("axis"))
+    end = lines[head].index("scatter") + len("scatter")
+    for axis, row in zip(rich.axes, lines[head + 2 :], strict=False):
+        assert row.startswith(axis.dof)
+        assert float(row[:end].split()[-1]) == pytest.approx(axis.scatter, rel=0.06)  # two digits
+        assert row[end:].split() == [axis.excited]
+
+
 def test_an_axis_at_rest_is_not_excited_whatever_its_noise_pretends():
     checked = jm.check(craft(), logged(pushed(1, pitch=0.0), start=(0.3, 0.0)))
     assert checked["surge"].excited == "yes" and checked["pitch"].excited == "no"

@@ -1,5 +1,7 @@
 """Least squares against numpy, a hand calculation and Monte Carlo; batched Levenberg-Marquardt."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -78,6 +80,31 @@ def test_three_axes_agree_with_regressors_written_out_in_numpy():
     ratio = np.asarray(found.std_bootstrap / found.solution.std)
     assert found.bootstrap.shape == (200, 6)
     assert np.all((ratio > 0.4) & (ratio < 2.5))
+
+
+def test_the_same_forces_as_commands_and_as_wrench_give_the_same():
+    vehicle, quiet = boat(), dict.fromkeys(("position", "attitude", "velocity", "rate"), 1e-9)
+    log = record(vehicle, steps(hold=3), noise=quiet)
+    assert log.commands is not None
+    lever = np.array([[1, 1, 0], [0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0], [0.3, -0.3, 0.5]])
+    wrench = (log.commands * np.array([40.0, 40.0, 30.0])) @ lever.T
+    told = Log(log.t, log.channels, None, wrench, (), log.name)
+    both = [least_squares(vehicle, one, damping, entries="diagonal").solution.values for one in (log, told)]
+    np.testing.assert_allclose(*both, rtol=1e-9)
+
+
+def test_accelerations_of_some_axes_do_not_spoil_the_others():
+    vehicle = boat()
+    full = record(vehicle, steps(hold=3), noise=dict.fromkeys(SENSORS, 1e-9))
+    some, none = full.channels.copy(), full.channels.copy()
+    some[:, CHANNELS.index("dr")] = np.nan
+    none[:, 12:] = np.nan
+    found = [
+        least_squares(vehicle, dataclasses.replace(full, channels=channels), damping, entries="diagonal")
+        for channels in (some, none)
+    ]
+    # What is not measured is differentiated, and then all axes alike.
+    np.testing.assert_allclose(*[one.solution.values for one in found], rtol=1e-9)
 
 
 def test_errors_match_the_reported_ones():

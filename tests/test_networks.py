@@ -263,6 +263,23 @@ def test_every_array_of_a_learned_term_must_have_its_shape(term):
         type(term).restored(term.arrays() | {"more": np.zeros(2)}, ship(), "yaw", term.inputs)
 
 
+def test_a_thrust_learned_on_one_side_of_zero_is_still_zero_at_zero():
+    term = learned_thrust(("star", "port", "bow"), np.array([0.3, 0.0, -0.8]), np.array([0.8, 0.0, -0.2]))
+    term = dataclasses.replace(term, weight=jnp.full((8, 3), 0.05))
+    vehicle = ship().place(Placed(term))
+    still = pushed(vehicle, jnp.zeros((len(TIMES), 3))).mean
+    assert np.array_equal(still, np.zeros_like(still))
+    assert np.isfinite(pushed(vehicle, jnp.full((len(TIMES), 3), 0.4)).mean).all()
+
+
+def test_an_axis_that_never_moved_makes_no_nan():
+    idle = np.array([0.5, 0.0, 0.3])
+    term = trained(mlp_damping(AXES, idle, np.ones(3), jax.random.key(0)))
+    for nu in (np.zeros(3), idle, np.array([0.2, 0.1, 0.0])):
+        assert np.isfinite(term(motion(nu))).all()
+    assert np.isfinite(float(Seen.of(np.tile(idle, (50, 1)))(jnp.asarray(idle))))
+
+
 # --- the plant of `nonlinear_damping` ---------------------------------------------------------
 
 

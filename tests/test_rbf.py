@@ -58,7 +58,7 @@ def test_the_factor_that_grows_gives_dense_least_squares_at_every_step():
         weights, left = dense(taken)
         assert np.allclose(grown.weights(k), weights, rtol=0, atol=1e-12)
         assert np.allclose(path[:, k - 1], design[:, taken] @ weights, rtol=0, atol=1e-12)
-        cost -= grown.explained[k - 1]
+        cost -= grown.solution[k - 1] ** 2
         assert cost == pytest.approx(left, abs=1e-11)
         # No other column would have lowered the cost more.
         others = set(range(25)) - set(taken[:-1])

@@ -9,7 +9,7 @@ def test_quick_run_writes_tables_and_goes_on_where_it_was(tmp_path):
     tethra_tables.main(tmp_path, seeds=1, quick=True)
     results = json.loads((tmp_path / "results.json").read_text())
     assert [
-        name for name in ("tables.md", "errors.png", "errors.svg") if not (tmp_path / name).exists()
+        name for name in ("results.md", "errors.png", "errors.svg") if not (tmp_path / name).exists()
     ] == []
     # A minute of collisions is enough for whole windows, once those with contact are left out.
     bars = {(b["method"], b["what"]): b for b in results["bars"]}

@@ -1,8 +1,12 @@
 """Dependences of a missing wrench on made-up knots, whose cause is known by construction."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from experiments.blind.outside import play
 from jaxmarine.diagnosis._knots import Knots
@@ -10,6 +14,7 @@ from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places, _played
 from jaxmarine.diagnosis._unknown import dependences
+from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
 SHAPE = (WINDOWS, KNOTS)
@@ -129,6 +134,40 @@ def test_hysteresis_is_a_dependence_on_its_command():
     # Without its memory a command says little of where within the backlash the thrust is.
     without = dependences(knots_with(force, signals, rng, port=played[..., :0]), 1.0)
     assert not without or without[0].saved < 0.5 * found.saved
+
+
+# --- where and when ---------------------------------------------------------------------------
+
+
+def test_velocities_are_those_through_the_water():
+    turns = jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))
+    angles = np.random.default_rng(10).uniform(-1.0, 1.0, (2, 3, 3))
+    here = Places(
+        t=np.zeros((2, 3)),
+        log=np.zeros(2, int),
+        rotation=np.asarray(turns(jnp.asarray(angles))),
+        velocity=np.zeros((2, 3, 6)),
+        signals={"u": np.ones((2, 3)), "w": np.zeros((2, 3)), "r": np.full((2, 3), 0.3)},
+        played={},
+    )
+    water = np.array([0.3, -0.2, 0.1])
+    moving = here.through_water(water, here.signals)
+    for w, k in np.ndindex(2, 3):
+        own = Rotation.from_euler("ZYX", angles[w, k, ::-1]).inv().apply(water)
+        assert moving["u"][w, k] == pytest.approx(1.0 - own[0], abs=1e-12)
+        assert moving["w"][w, k] == pytest.approx(-own[2], abs=1e-12)
+    assert np.array_equal(moving["r"], here.signals["r"])
+
+
+def test_a_drift_over_several_logs_is_named_but_not_learned():
+    rng = np.random.default_rng(11)
+    t = np.arange(WINDOWS * KNOTS, dtype=float).reshape(SHAPE)
+    k = knots_with(np.sin(t / 100.0), {"t": t, "u": drift(rng, 4.0)}, rng)
+    found = dependences(k, 1.0)
+    assert found[0].signals == ("t",) and learn(k, found, ())
+    later = np.repeat([0, 1], WINDOWS // 2)
+    two = dataclasses.replace(k, places=dataclasses.replace(k.places, log=later))
+    assert learn(two, found, ()) == ()
 
 
 # --- what is learned of it ----------------------------------------------------------------------

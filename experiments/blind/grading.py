@@ -71,7 +71,7 @@ def parameter_errors(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) ->
     return out
 
 
-def late(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> bool | None:
+def timely(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> bool | None:
     """Whether every beginning is found within 12 s; None where nothing began."""
     begun = [h for h in answer.get("findings", ()) if h["since"] is not None]
     if not begun:

@@ -378,7 +378,10 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
         for axis in range(6):
             out[here, :, axis] = np.interp(places.t[here], log.t, nu[:, axis])
     names = (*VELOCITY, *RATE)
-    return {name: out[..., i] for i, name in enumerate(names)} if np.isfinite(out).all() else None
+    if not np.isfinite(out).all():
+        return None
+    over_ground = {name: out[..., i] for i, name in enumerate(names)}
+    return places.through_water(np.asarray(vehicle.plant().water), over_ground)
 
 
 def _left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:

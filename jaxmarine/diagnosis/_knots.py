@@ -69,7 +69,11 @@ def knots(bench: Workbench, model: Model) -> Knots:
     into[size:, width:] = np.eye(6 * count)
     stats = Reduced(whole.chi2, whole.g @ into, np.swapaxes(whole.h @ into, 1, 2) @ into)
 
-    return Knots(stats, width, precision, offset, bench.vehicle.free, bench.places)
+    # Forces on the hull depend on the velocity through the water, where that is known to move.
+    places = bench.places
+    signals = places.through_water(bench.water(model), places.signals)
+    places = dataclasses.replace(places, signals=signals)
+    return Knots(stats, width, precision, offset, bench.vehicle.free, places)
 
 
 def missing_wrench(k: Knots) -> MissingWrench:

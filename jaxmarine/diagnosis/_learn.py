@@ -84,8 +84,12 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
     at the price of a curve fit. The best of several restarts is kept, and none where networks fitted to
-    the other windows do not help a window: what is missing then has a memory that they lack.
+    the other windows do not help a window: what is missing then has a memory that they lack. None either
+    of a force that changes with time over several logs.
     """
+    if k.places.log.max() > 0 and any("t" in one.signals for one in found):
+        # The time over all logs is no signal that a vehicle knows.
+        return ()
     sizes = {one.axis: float(np.nanstd(missing_wrench(k).wrench[:, one.axis])) for one in found}
     inputs = [_inputs(k, one.signals) for one in found]
     ranges = [(x.min((0, 1)), x.max((0, 1))) for x in inputs]

@@ -296,6 +296,12 @@ class Workbench:
         z[: len(model.z)] = model.z
         return np.asarray(self.affine(model.members, stretches)(jnp.asarray(z)))
 
+    def water(self, model: Model) -> Float[np.ndarray, "3"]:
+        """Velocity of the water [m/s], where all that begins has begun."""
+        last = len(self.stretches(model.members).passed) - 1
+        theta = jnp.asarray(self.theta(model)[last])
+        return np.asarray(self.problem(model.members).plant_of(theta, jnp.asarray(last)).water)
+
     def residual_rms(self, model: Model) -> np.ndarray:
         """Root mean square residual of each channel in the median window, in units of its noise.
 

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY
 from ..fitting import Cut
 from ..logs import smooth_states
-from ..networks import SIGNALS
 from ..physics import from_euler, rotation
 from ..vehicle import Vehicle
 
@@ -39,6 +38,12 @@ class Places:
     signals: Signals
     played: dict[str, Float[np.ndarray, "windows knots plays"]]
 
+    def through_water(self, water: Float[np.ndarray, "3"], signals: Signals) -> Signals:
+        """Signals with velocities over ground made relative to water that moves (north, east, down) [m/s]."""
+        flow = np.einsum("wkij,i->wkj", self.rotation, water)
+        moving = {name: signals[name] - flow[..., i] for i, name in enumerate(VELOCITY) if name in signals}
+        return signals | moving
+
 
 def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     """The places of `count` knots in each window of a cut."""
@@ -62,7 +67,7 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
             command[here] = given[sample]
             behind[here] = _played(given, widths)[sample]
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
-    signals = {name: state[:, :, i] for i, name in enumerate(names) if name in SIGNALS}
+    signals = {name: state[:, :, i] for i, name in enumerate(names)}
     signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.thruster_names)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
     spans = np.cumsum([0.0, *[source.duration for source in data.logs]])[:-1]

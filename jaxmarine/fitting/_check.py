@@ -342,15 +342,18 @@ def percent(relative: float) -> str:
 
 
 def _table(axes: Sequence[AxisCheck]) -> list[str]:
-    head = f"{'axis':<6} {'velocity seen (m/s, rad/s)':<33} {'inertia':>8} {'damping':>8} "
-    head += f"{'linear':>8} {'quadr.':>8} {'scatter':>8}  excited"
-    rows = []
+    seen = []
     for axis in axes:
         low, high = axis.coverage.velocity_range
-        seen = f"{low:>8.2g} {sparkline(axis.coverage.velocity_shares)} {high:<7.2g} rms"
-        seen = f"{seen} {axis.coverage.velocity_rms:.2g}"
+        bars = sparkline(axis.coverage.velocity_shares)
+        seen.append(f"{low:>8.2g} {bars} {high:<7.2g} rms {axis.coverage.velocity_rms:.2g}")
+    title = "velocity seen (m/s, rad/s)"
+    width = max(map(len, [title, *seen]))
+    head = f"{'axis':<6} {title:<{width}} {'inertia':>8} {'damping':>8} "
+    head += f"{'linear':>8} {'quadr.':>8} {'scatter':>8}  excited"
+    rows = []
+    for axis, moved in zip(axes, seen, strict=True):
         errors = (axis.inertia, axis.damping, axis.linear, axis.quadratic)
-        rows.append(
-            f"{axis.dof:<6} {seen:<33} " + " ".join(f"{percent(e):>8}" for e in errors) + f"  {axis.excited}"
-        )
+        cells = [*(f"{percent(e):>8}" for e in errors), f"{axis.scatter:>8.2g}"]
+        rows.append(f"{axis.dof:<6} {moved:<{width}} {' '.join(cells)}  {axis.excited}")
     return [head, "-" * len(head), *rows]

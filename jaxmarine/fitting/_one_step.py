@@ -14,9 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from .._types import CHANNELS
 from ..logs import Log, smooth_states
 from ..physics import apply, from_euler
 from ..vehicle import Input, Plant, State
@@ -67,7 +66,9 @@ class OneStep(eqx.Module):
         states = State(samples.position, samples.attitude, samples.velocity, lagged)
         commands = records.commands[..., : thrust.shape[-1]]
         slide = _slides(self.problem, plants)
-        drive = Input(thrust, commands, records.wrench, records.t, slide=slide)
+        earlier = jnp.concatenate([records.wrench[:, :1], records.wrench[:, :-1]], axis=1)
+        wrench = records.wrench if samples.instant else 0.5 * (earlier + records.wrench)
+        drive = Input(thrust, commands, wrench, records.t, slide=slide)
 
         def one(state, acceleration, drive, segment):
             return of(_pick(plants, segment), state, acceleration, drive)
@@ -96,10 +97,16 @@ class OneStep(eqx.Module):
 
 
 def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, "18"]) -> OneStep:
-    """The one-step problem of logs; each axis weighs by the spread of its own acceleration."""
-    logs = [
-        dataclasses.replace(log, channels=np.where(np.isfinite(noise), log.channels, np.nan)) for log in logs
-    ]
+    """The one-step problem of logs; each axis weighs by the spread of its own acceleration.
+
+    Accelerations are differentiated on all axes where one of them was not measured in some log: a measured
+    one goes with the force at its sample, the others with the mean about it.
+    """
+    free = np.array(freed.vehicle.free > 0, dtype=bool)
+    measured = [np.isfinite(log.channels / noise).any(axis=0)[12:] for log in logs]
+    instant = all(bool(np.all(of_log | ~free)) for of_log in measured)
+    used = np.isfinite(noise) & (instant | (np.arange(len(noise)) < 12))
+    logs = [dataclasses.replace(log, channels=np.where(used, log.channels, np.nan)) for log in logs]
     vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
     # Windows play no part here; four in each log leave the two that a cut asks for.
     shortest = min(len(log.t) * log.dt for log in logs)
@@ -113,7 +120,7 @@ def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.nd
     )
     return OneStep(
         problem,
-        _samples(logs, vehicle.dof, vehicle.free, data.records.t.shape[1]),
+        _samples(logs, vehicle.dof, free, data.records.t.shape[1], instant),
         freed.start,
         jnp.asarray(units.map),
         jnp.asarray(units.precision),
@@ -122,8 +129,9 @@ def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.nd
     )
 
 
-def _samples(logs: Sequence[Log], dof: Sequence[str], free: np.ndarray, steps: int) -> Samples:
-    moving = free.astype(bool)
+def _samples(
+    logs: Sequence[Log], dof: Sequence[str], moving: Bool[np.ndarray, "6"], steps: int, instant: bool
+) -> Samples:
     rows = []
     for log in logs:
         track = smooth_states(log, dof)
@@ -144,7 +152,7 @@ def _samples(logs: Sequence[Log], dof: Sequence[str], free: np.ndarray, steps: i
         velocity=jnp.asarray(table[..., 6:12]),
         acceleration=jnp.asarray(table[..., 12:18]),
         weight=jnp.asarray(weight),
-        instant=bool(set(CHANNELS[12:]) & {name for log in logs for name in log.measured}),
+        instant=instant,
     )
 
 

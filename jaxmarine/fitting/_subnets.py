@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._types import Matrix6, Velocity, Wrench
+from .._types import DOFS, Matrix6, Velocity, Wrench
 from ..physics import apply, coriolis
 from ._least_squares import solve_linear
 from ._levenberg_marquardt import fit_samples
@@ -162,8 +162,11 @@ def identify_by_networks(
     - `hidden`, `epochs`: 5 tangents and 50 steps of Levenberg-Marquardt in the thesis; `restarts`: random
       starts, of which each network keeps its best.
 
-    Source: thesis, sec. 4.3 and 5.3.
+    Raises ValueError where an axis never moves. Source: thesis, sec. 4.3 and 5.3.
     """
+    idle = [dof for dof, speed in zip(DOFS, np.abs(np.asarray(nu)).max(axis=0), strict=True) if speed == 0]
+    if idle:
+        raise ValueError(f"Argument `nu` never moves in {', '.join(idle)}: the method needs all six axes.")
     first, second = jax.random.split(key)
     acceleration = cost = None
     if mass is None:

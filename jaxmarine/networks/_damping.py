@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._types import DOFS, Wrench
 from ..effects import Craft, Motion, WrenchEffect
-from ._seen import Seen
+from ._seen import Seen, moved
 from ._term import LearnedTerm, check_axes, check_shapes
 
 # Equinox' first weights are below one over the root of the inputs: over inputs of one the units would
@@ -114,7 +114,7 @@ def mlp_damping(
     arrays, frame = eqx.partition(network, eqx.is_array)
     return MLPDamping(
         network=arrays,
-        input_scale=jnp.asarray(np.asarray(speed, float)),
+        input_scale=jnp.asarray(moved(speed)),
         output_scale=jnp.asarray(np.asarray(force, float)),
         seen=Seen.within(speed) if seen is None else Seen.of(seen),
         frame=frame,

@@ -140,16 +140,12 @@ def _squares(x: np.ndarray, centres: np.ndarray) -> np.ndarray:
 class Growth:
     """Columns in the order in which they were taken, and the triangular factor of their normal equations.
 
-    `explained`: by how much each one lowered the penalised sum of squares.
+    The square of `solution` says by how much each column lowered the penalised sum of squares.
     """
 
     order: Int[np.ndarray, " taken"]
     factor: Float[np.ndarray, "taken taken"]
     solution: Float[np.ndarray, " taken"]
-
-    @property
-    def explained(self) -> Float[np.ndarray, " taken"]:
-        return self.solution**2
 
     def weights(self, count: int) -> Float[np.ndarray, " count"]:
         """Least-squares weights of the first `count` columns."""

@@ -24,6 +24,12 @@ def faded(t: Array) -> Array:
     return 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
 
 
+def moved(speed: Float[np.ndarray, " axes"]) -> Float[np.ndarray, " axes"]:
+    """Largest speeds, that of an axis at rest a thousandth of the largest [m/s, rad/s]."""
+    speed = np.asarray(speed, float)
+    return np.maximum(speed, _LEAST * speed.max(initial=0.0) + 1e-12)
+
+
 class Seen(eqx.Module):
     r"""An ellipsoid of velocities: 1 inside, 0 beyond 1.5 times its size, and smooth in between.
 
@@ -52,13 +58,13 @@ class Seen(eqx.Module):
         least = _LEAST * np.abs(velocities).max(axis=0) + 1e-12
         covariance = off.T @ off / len(off) + np.diag(least**2)
         shape = np.linalg.inv(np.linalg.cholesky(covariance))
-        reach = np.quantile(np.linalg.norm(off @ shape.T, axis=1), _INSIDE)
+        reach = max(float(np.quantile(np.linalg.norm(off @ shape.T, axis=1), _INSIDE)), 1.0)
         return cls(jnp.asarray(centre), jnp.asarray(shape / reach))
 
     @classmethod
     def within(cls, speed: Float[np.ndarray, " axes"]) -> Self:
         """The ellipsoid about the box of these largest speeds."""
-        speed = np.asarray(speed, float)
+        speed = moved(speed)
         return cls(jnp.zeros(len(speed)), jnp.asarray(np.diag(1.0 / speed) / np.sqrt(len(speed))))
 
     def __call__(self, velocity: Float[Array, " axes"]) -> Scalar:

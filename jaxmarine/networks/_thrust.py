@@ -74,9 +74,11 @@ def learned_thrust(
 ) -> LearnedThrust:
     """Untrained networks for all thrusters: steps spread evenly over the commands, without weight.
 
-    - `low`, `high`: commands in the data.
+    - `low`, `high`: commands in the data; the range is widened to zero.
     """
-    low, high = np.asarray(low, float), np.asarray(high, float)
+    # At a command of zero each network is zero; one that never moved still needs a range.
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    high = np.where(high > low, high, 1.0)
     count = len(thrusters)
     middle = (np.arange(hidden)[:, None] + 0.5) / hidden * (high - low) + low
     # A step as wide as the distance between two neighbours.
