@@ -108,6 +108,12 @@ def test_structure_of_the_mass_is_kept(motion, trained):
     assert np.abs(mass - mass.T).max() < 1e-9 * mass.max()
 
 
+def test_an_axis_that_never_moves_is_refused(motion):
+    nu, nu_dot, force, _ = map(jnp.asarray, motion)
+    with pytest.raises(ValueError, match="heave, roll"):
+        identify_by_networks(nu.at[:, 2:4].set(0.0), nu_dot, force, key=jax.random.key(2))
+
+
 @pytest.mark.parametrize("form", ["zero_at_rest", pytest.param("dissipative", marks=pytest.mark.slow)])
 def test_damping_is_as_its_form_says(motion, form):
     """No force at rest; and, where asked for, power taken at every velocity, far outside the data too."""

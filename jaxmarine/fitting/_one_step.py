@@ -103,7 +103,7 @@ def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.nd
     one goes with the force at its sample, the others with the mean about it.
     """
     free = np.array(freed.vehicle.free > 0, dtype=bool)
-    measured = [np.isfinite(log.channels / noise).any(axis=0)[12:] for log in logs]
+    measured = [np.isfinite((log.channels / noise)[:, 12:]).any(axis=0) for log in logs]
     instant = all(bool(np.all(of_log | ~free)) for of_log in measured)
     used = np.isfinite(noise) & (instant | (np.arange(len(noise)) < 12))
     logs = [dataclasses.replace(log, channels=np.where(used, log.channels, np.nan)) for log in logs]
