@@ -187,10 +187,12 @@ def test_a_network_learns_the_force_and_ends_beyond_the_places_seen():
     assert float(term.force(jnp.array([away]), term.network)) == 0.0
 
 
-def test_a_network_that_predicts_no_other_window_is_not_kept():
+def test_what_hangs_on_the_past_of_a_command_is_not_learned_as_if_it_did_not():
     rng = np.random.default_rng(9)
-    signals = {"u": drift(rng, 4.0), "port": drift(rng, 6.0)}
-    found = dependences(knots_with(signals["u"] ** 2, signals, rng), 1.0)
-    assert learn(knots_with(signals["u"] ** 2, signals, rng), found, ("port",))
-    # The same shapes in a craft whose missing force has nothing to do with them.
-    assert learn(knots_with(drift(rng, 3.0), signals, rng), found, ("port",)) == ()
+    force, signals, played = backlash(rng)
+    k = knots_with(force, signals, rng, port=played)
+    (found,) = dependences(k, 1.0)
+    assert found.remembers and learn(k, (found,), ("port",)) == ()
+    at_once = knots_with(np.abs(signals["port"]) * signals["port"], signals, rng, port=played)
+    (found,) = dependences(at_once, 1.0)
+    assert not found.remembers and learn(at_once, (found,), ("port",))

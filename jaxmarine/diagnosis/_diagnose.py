@@ -107,11 +107,12 @@ def diagnose(
         progress("learning what is missing")
         learned = learn(now.knots, unknown, vehicle.thruster_names)
         terms = tuple(Placed(term, term.target) for term in learned)
-        if not terms:
-            notes.append(
-                "No network of those signals predicts what is missing where it was not fitted; the extended "
-                "vehicle has none."
-            )
+        notes += [
+            f"{one.dof}: what is missing hangs on the past of {', '.join(one.signals)}, or on the time over "
+            "several logs; it is not learned."
+            for one in unknown
+            if one.dof not in {term.target for term in learned}
+        ]
     extended = extended.place(*terms)
     progress("predicting the test log")
     measured = _measured_gain(bench, model, terms, test)

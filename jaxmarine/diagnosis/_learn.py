@@ -11,13 +11,11 @@ from .._types import ATTITUDE, POSITION
 from ..fitting import fit_samples
 from ..networks import LearnedWrench, learned_wrench
 from ._knots import Knots, missing_wrench
-from ._score import blocks, t_value
 from ._unknown import Dependence, resolved
 
 HIDDEN = 12
 RESTARTS = 4
-STEPS = 50
-FOLDS = 3
+STEPS = 80
 # Weight decay: a weight of one costs this much chi-square.
 DECAY = 1.0
 
@@ -69,26 +67,26 @@ class _Missing(eqx.Module):
     windows: int = eqx.field(static=True)
 
     def __call__(self, networks, window) -> Array:
-        inputs, a, b, used = window
+        inputs, a, b = window
         wrench = jnp.zeros((len(inputs[0]), 6))
         for axis, x, network, term in zip(self.axes, inputs, networks, self.terms, strict=True):
             force = jax.vmap(term.force, in_axes=(0, None))(x, network)
             wrench = wrench.at[:, axis].set(force)
         weights, _ = jax.flatten_util.ravel_pytree(networks)
         decay = np.sqrt(DECAY / self.windows) * weights
-        return jnp.concatenate([used * (a @ wrench.ravel() + b), decay])
+        return jnp.concatenate([a @ wrench.ravel() + b, decay])
 
 
 def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -> tuple[LearnedWrench, ...]:
     """One network per axis, fitted together on the knots' chi-square by Levenberg-Marquardt.
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
-    at the price of a curve fit. The best of several restarts is kept, and none where networks fitted to
-    the other windows do not help a window: what is missing then has a memory that they lack. None either
-    of a force that changes with time over several logs.
+    at the price of a curve fit. The best of several restarts is kept. A force that hangs on the past of a
+    command is left out, since a network has no memory, and one that changes with time over several logs.
     """
-    if k.places.log.max() > 0 and any("t" in one.signals for one in found):
-        # The time over all logs is no signal that a vehicle knows.
+    several = k.places.log.max() > 0
+    found = tuple(one for one in found if not (one.remembers or (several and "t" in one.signals)))
+    if not found:
         return ()
     sizes = {one.axis: float(np.nanstd(missing_wrench(k).wrench[:, one.axis])) for one in found}
     inputs = [_inputs(k, one.signals) for one in found]
@@ -109,28 +107,5 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
     missing = _Missing(terms, tuple(one.axis for one in found), len(a))
     windows = tuple(jnp.asarray(x) for x in inputs), a, b
 
-    def fitted(used: np.ndarray):
-        return fit_samples(missing, starts, (*windows, jnp.asarray(used)), rtol=1e-5, max_steps=STEPS).best
-
-    fold = blocks(len(a), FOLDS)
-    saved = np.zeros(len(a))
-    for number in range(FOLDS):
-        left = fold == number
-        networks = fitted(np.where(np.convolve(left, [1, 1, 1], "same") > 0, 0.0, 1.0))
-        saved[left] = np.asarray(_saved(missing, networks, windows))[left]
-    if t_value(saved) < 2.0:
-        return ()
-    networks = fitted(np.ones(len(a)))
+    networks = fit_samples(missing, starts, windows, rtol=1e-5, max_steps=STEPS).best
     return tuple(term.with_network(network) for term, network in zip(terms, networks, strict=True))
-
-
-@eqx.filter_jit
-def _saved(missing: _Missing, networks, windows) -> Array:
-    """Chi-square that networks save on each window."""
-
-    def one(window):
-        inputs, a, b = window
-        error = missing(networks, (inputs, a, b, 1.0))[: len(b)]
-        return (b**2).sum() - (error**2).sum()
-
-    return jax.vmap(one)(windows)

@@ -34,7 +34,8 @@ class Dependence:
 
     - `saved`: chi-square saved on left-out windows; `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
-    - `features`: the regressors' values at the knots.
+    - `features`: the regressors' values at the knots; `remembers`: it hangs on the past of a command, since
+      without the plays it saves less than half.
     """
 
     axis: int
@@ -42,6 +43,7 @@ class Dependence:
     tied: tuple[str, ...]
     saved: float
     features: Float[np.ndarray, "windows knots features"]
+    remembers: bool
 
     @property
     def dof(self) -> str:
@@ -219,7 +221,9 @@ def dependences(
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
         shapes = (features(names, k.places, heads) for heads in (2, 4))
         values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
-        found.append(Dependence(axis, names, tied, float(gain.sum()), values))
+        now = ledger.saved(axis, features(names, dataclasses.replace(k.places, played={})))
+        remembers = bool(now.sum() < 0.5 * gain.sum())
+        found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
         ledger.add(axis, ledger.wrench(axis, values))
     return tuple(found)
 
