@@ -279,10 +279,8 @@ def forces(term: RBFDamping, nu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return term(Motion(*still, nu, nu, jnp.zeros(0), jnp.zeros(()), jnp.zeros(3)))
 
     own = -(nu @ PRINTED_LINEAR.T + (np.abs(nu) * nu) @ PRINTED_QUADRATIC.T)
-    x = nu / np.asarray(term.input_scale)
-    distance = ((x[:, None] - np.asarray(term.seen)[None]) ** 2).sum(-1)
-    known = 1.0 - np.prod(1.0 - np.exp(-0.5 * distance[:, :, None] / np.asarray(term.reach) ** 2), axis=1)
-    return own + np.asarray(jax.vmap(one)(jnp.asarray(nu))), known
+    known = jax.vmap(term.known)(jnp.asarray(nu / np.asarray(term.input_scale)))
+    return own + np.asarray(jax.vmap(one)(jnp.asarray(nu))), np.asarray(known)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import Matrix6, Velocity, Wrench
-from ..physics import apply, compose, rotation, small_turn, step_lengths
+from ..physics import apply, compose, conjugate, rotation, small_turn, step_lengths
 from ..simulation import Trajectory, hold, substeps
 from ..vehicle import Input, Plant, State, Vehicle
 from ._path import Reference
@@ -30,8 +30,7 @@ class Feedback(eqx.Module):
 
 def _off(wanted: State, seen: State) -> Velocity:
     """Way and turn from the state that is seen to the one that is wanted, body axes [m, rad]."""
-    back = seen.attitude * jnp.array([1.0, -1.0, -1.0, -1.0])
-    turn = compose(back, wanted.attitude)
+    turn = compose(conjugate(seen.attitude), wanted.attitude)
     # q and -q are one attitude: take the shorter turn.
     turn = 2.0 * jnp.where(turn[0] < 0, -turn[1:], turn[1:])
     return jnp.concatenate([apply(rotation(seen.attitude).T, wanted.position - seen.position), turn])

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._errors import InputError
 from .._types import Times, Velocity
-from ..physics import apply, compose, from_euler, rotation
+from ..physics import apply, compose, conjugate, from_euler, rotation
 from ..vehicle import State
 
 
@@ -51,9 +51,9 @@ class Path:
 def _velocity(pose: Float[Array, "6"], rate: Float[Array, "6"]) -> Velocity:
     """Velocity in body axes of a pose that changes by `rate`."""
     attitude, change = jax.jvp(from_euler, (pose[3:],), (rate[3:],))
-    # q' = q (0, w) / 2; the conjugate of q undoes q.
-    back = attitude * jnp.array([1.0, -1.0, -1.0, -1.0])
-    return jnp.concatenate([apply(rotation(attitude).T, rate[:3]), 2.0 * compose(back, change)[1:]])
+    # q' = q (0, w) / 2.
+    turning = 2.0 * compose(conjugate(attitude), change)[1:]
+    return jnp.concatenate([apply(rotation(attitude).T, rate[:3]), turning])
 
 
 @jax.jit

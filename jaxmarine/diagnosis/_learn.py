@@ -32,7 +32,7 @@ def _inputs(k: Knots, names: tuple[str, ...]) -> np.ndarray:
 def _hidden(k: Knots, names: tuple[str, ...]) -> int:
     """Hidden units: two bumps of the regression make a turn, which takes a unit."""
     places = [resolved(name, k.places.signals[name]) // 2 for name in names if name in POSITION]
-    return max(HIDDEN, *places, 0)
+    return max([HIDDEN, *places])
 
 
 def _spread(term: LearnedWrench, key) -> LearnedWrench:
@@ -106,6 +106,5 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
     a, b = (jnp.asarray(x) for x in _quadratic(k))
     missing = _Missing(terms, tuple(one.axis for one in found), len(a))
     windows = tuple(jnp.asarray(x) for x in inputs), a, b
-
     networks = fit_samples(missing, starts, windows, rtol=1e-5, max_steps=STEPS).best
     return tuple(term.with_network(network) for term, network in zip(terms, networks, strict=True))

@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._types import DOFS, Wrench
-from ..effects import Craft, Motion, WrenchEffect
+from ..effects import Craft, Motion
 from ._seen import Seen, moved
-from ._term import LearnedTerm, check_axes, check_shapes
+from ._term import LearnedDamping, check_shapes
 
 # Equinox' first weights are below one over the root of the inputs: over inputs of one the units would
 # all be straight lines, and their solve long. So steep, each bends somewhere in the data.
 _STEEP = 3.0
 
 
-class MLPDamping(LearnedTerm, WrenchEffect):
+class MLPDamping(LearnedDamping):
     r"""Damping beside that of the vehicle, $\tau_a = \gamma(\nu_r) s_o (f(\nu_r / s_i) - f(0))$ on some axes.
 
     - `network`: the arrays of the multilayer perceptron f, from the velocities of the chosen axes
@@ -48,11 +48,6 @@ class MLPDamping(LearnedTerm, WrenchEffect):
             out |= {f"weight_{k}": layer.weight, f"bias_{k}": layer.bias}
         out |= self.seen.arrays()
         return {name: np.asarray(value) for name, value in out.items() if value is not None}
-
-    @classmethod
-    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
-        del target
-        check_axes(craft, inputs)
 
     @classmethod
     def restored(

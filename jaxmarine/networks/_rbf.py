@@ -11,8 +11,8 @@ import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from .._types import DOFS, Wrench
-from ..effects import Craft, Motion, WrenchEffect
-from ._term import LearnedTerm, check_axes, check_shapes
+from ..effects import Craft, Motion
+from ._term import LearnedDamping, check_shapes
 
 # What left-out stretches choose among: widths of the basis functions and reaches of what was seen, in
 # scaled velocity; weight decay, in samples of unit force.
@@ -23,7 +23,7 @@ _REACHES = (0.5, 1.0, 2.0)
 _MOST_SEEN = 200
 
 
-class RBFDamping(LearnedTerm, WrenchEffect):
+class RBFDamping(LearnedDamping):
     r"""Damping beside that of the vehicle, $\tau_a = s_a\, g_a(x) \sum_k w_{ak} \psi_a(x, c_{ak})$.
 
     The inputs are scaled velocities through the water, $x = \nu_r / s_i$.
@@ -51,11 +51,6 @@ class RBFDamping(LearnedTerm, WrenchEffect):
     output_scale: Float[Array, " axes"]
 
     @classmethod
-    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
-        del target
-        check_axes(craft, inputs)
-
-    @classmethod
     def restored(
         cls, arrays: Mapping[str, np.ndarray], craft: Craft, target: str | None, inputs: tuple[str, ...]
     ) -> Self:
@@ -67,15 +62,18 @@ class RBFDamping(LearnedTerm, WrenchEffect):
         check_shapes(arrays, shapes)
         return cls(**{name: jnp.asarray(value) for name, value in arrays.items()}, inputs=inputs)
 
+    def known(self, x: Float[Array, " axes"]) -> Float[Array, " axes"]:
+        """How far the velocities seen vouch for a scaled velocity, per axis: g of the formula above."""
+        away = ((x[None] - self.seen) ** 2).sum(-1)[None] / (2.0 * self.reach[:, None] ** 2)
+        return 1.0 - jnp.prod(1.0 - jnp.exp(-away), axis=-1)
+
     def __call__(self, motion: Motion) -> Wrench:
         places = np.array([DOFS.index(axis) for axis in self.inputs])
         x = motion.nu_r[places] / self.input_scale
         spread = 2.0 * self.width[:, None] ** 2
         near = jnp.exp(-((x[None, None] - self.centres) ** 2).sum(-1) / spread)
         at_rest = jnp.exp(-(self.centres**2).sum(-1) / spread) * jnp.exp(-(x**2).sum() / spread)
-        away = ((x[None] - self.seen) ** 2).sum(-1)[None] / (2.0 * self.reach[:, None] ** 2)
-        known = 1.0 - jnp.prod(1.0 - jnp.exp(-away), axis=-1)
-        force = self.output_scale * known * (self.weights * (near - at_rest)).sum(-1)
+        force = self.output_scale * self.known(x) * (self.weights * (near - at_rest)).sum(-1)
         return jnp.zeros(6).at[places].set(force)
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import equinox as eqx
 import numpy as np
 
-from ..effects import AbstractEffect, Craft, Suspect
+from ..effects import AbstractEffect, Craft, Suspect, WrenchEffect
 
 
 class LearnedTerm(AbstractEffect):
@@ -48,13 +48,17 @@ class LearnedTerm(AbstractEffect):
         """The term whose `arrays()` these were; ValueError or KeyError where they do not fit together."""
 
 
+class LearnedDamping(LearnedTerm, WrenchEffect):
+    """A learned force that depends on the velocities of some axes, and acts on the same; `inputs`: these."""
+
+    @classmethod
+    def check(cls, craft: Craft, target: str | None, inputs: tuple[str, ...]) -> None:
+        del target
+        if not set(inputs) <= set(craft.dof):
+            raise ValueError("is a learned damping and needs free axes as `inputs`.")
+
+
 def check_shapes(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """ValueError where these are not arrays of those names and shapes."""
     if dict(shapes) != {name: np.shape(value) for name, value in arrays.items()}:
         raise ValueError(f"its arrays are not {dict(shapes)}")
-
-
-def check_axes(craft: Craft, inputs: tuple[str, ...]) -> None:
-    """ValueError where these are not axes that the vehicle can move along."""
-    if not set(inputs) <= set(craft.dof):
-        raise ValueError("is a learned damping and needs free axes as `inputs`.")

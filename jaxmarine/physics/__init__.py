@@ -19,6 +19,9 @@ from ._frames import (
     compose as compose,
 )
 from ._frames import (
+    conjugate as conjugate,
+)
+from ._frames import (
     from_euler as from_euler,
 )
 from ._frames import (

@@ -59,6 +59,11 @@ def attitude_rate(attitude: Quaternion, omega: Vector3) -> Quaternion:
     )
 
 
+def conjugate(attitude: Quaternion) -> Quaternion:
+    """The attitude that undoes one: rotation(attitude).T."""
+    return attitude * jnp.array([1.0, -1.0, -1.0, -1.0])
+
+
 def compose(a: Quaternion, b: Quaternion) -> Quaternion:
     """The attitude that turns by `b` first (in body axes of `a`): rotation(a) @ rotation(b)."""
     w, x, y, z = a
