@@ -1,6 +1,7 @@
 """The whole diagnosis: search, settle, say what is unknown, extend, measure the gain."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -24,9 +25,9 @@ from ._learn import learn
 from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
-from ._search import STEPS, Found, Round, dispersion, needed, penalty, search
+from ._search import MARGIN, STEPS, Found, Round, dispersion, needed, penalty, search
 from ._signals import Signals
-from ._unknown import Dependence, cost_of_removal, dependences
+from ._unknown import Dependence, cost_of_removal, dependences, explained
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
@@ -36,9 +37,13 @@ FEWEST_SAMPLES = 12  # of a window
 SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
-# all of them did where an unknown dependence alone leaves less than this share of what they leave, or than
-# the second share of what they leave together with unknown dependences.
-STAND_IN, WITH_UNKNOWN = 0.35, 0.7
+# all of them did where unknown dependences alone leave less than the second share of what they leave, or
+# than the third one of what they leave together with unknown dependences, or the last one of what more than
+# two of them leave.
+STAND_IN, ALONE, WITH_UNKNOWN, CROWD = 0.35, 0.6, 0.7, 0.8
+# Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left;
+# and what is left per sample, beyond the noise, from which it is asked whether names are of any use.
+DEAR, PLENTY = 10.0, 0.5
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
@@ -87,19 +92,18 @@ def diagnose(
     notes += told
     bench = _rescaled(bench, begun)
     base = bench.refine(begun)
-    found = search(bench, base, progress)
-    progress("settling what was found")
-    model, dense = _settled(bench, found)
-    now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
-    start = bench.refine(bench.frozen(bench.start()))
-    if (now.model.members or dense) and not now.white:
-        alone = judged(bench, start)
-        left = _dependences(bench, alone, bench.vehicle)
-        share = WITH_UNKNOWN if unknown else STAND_IN
-        if left and _left_over(bench, alone, left) < share * _left_over(bench, now, unknown):
-            # Nothing that was named or recalibrated is the cause: it only took the shape of what is unknown.
-            now, unknown, dense = alone, left, False
-    model = now.model
+    rival = _Unnamed(bench)
+    found = search(bench, base, progress, rival.better)
+    if rival.better(found.model):
+        now, unknown, dense = rival.judged, rival.dependences, False
+    else:
+        progress("settling what was found")
+        model, dense = _settled(bench, found)
+        now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
+        rest, share = _left_over(bench, now, unknown), WITH_UNKNOWN if unknown else ALONE
+        if (now.model.members or dense) and not now.white and rival.leaves_less(rest, share):
+            now, unknown, dense = rival.judged, rival.dependences, False
+    model, start = now.model, rival.start
 
     extended = extended_by(bench, model, dense)
     terms: tuple[Placed, ...] = ()
@@ -385,9 +389,54 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
     return places.through_water(np.asarray(vehicle.plant().water), over_ground)
 
 
+class _Unnamed:
+    """The vehicle file with nothing but unknown dependences: what any names have to do better than.
+
+    Where they do not, nothing that was named or recalibrated is the cause: it took the shape of what is
+    unknown. All is computed when it is first asked for.
+    """
+
+    def __init__(self, bench: Workbench):
+        self.bench = bench
+
+    @functools.cached_property
+    def start(self) -> Model:
+        return self.bench.refine(self.bench.frozen(self.bench.start()))
+
+    @functools.cached_property
+    def judged(self) -> Judged:
+        return judged(self.bench, self.start)
+
+    @functools.cached_property
+    def dependences(self) -> tuple[Dependence, ...]:
+        return _dependences(self.bench, self.judged, self.bench.vehicle)
+
+    @functools.cached_property
+    def rest(self) -> float:
+        """Chi-square beyond the noise that is left, if the file's coefficients may change as well."""
+        _, precision, _ = self.bench.known(dataclasses.replace(self.start, frozen=False))
+        free = dataclasses.replace(self.judged.knots, precision=precision)
+        return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.samples, 0.0)
+
+    def better(self, model: Model) -> bool:
+        """Whether several members leave clearly more than unknown dependences alone would."""
+        rest, count = 2 * model.cost - self.bench.samples, len(model.members)
+        share = ALONE if count == 2 else CROWD
+        return count > 1 and rest > PLENTY * self.bench.samples and self.leaves_less(rest, share)
+
+    def leaves_less(self, rest: float, share: float) -> bool:
+        """Whether it leaves less than a share of `rest`, and not by chance."""
+        if not self.dependences:
+            return False
+        shapes = sum(one.features.shape[-1] for one in self.dependences)
+        chance = DEAR * (shapes + MARGIN) * (self.rest / self.bench.samples + 1.0)
+        return self.rest < min(share * rest, rest - chance)
+
+
 def _left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
-    """Chi-square beyond the noise that a model and unknown dependences leave."""
-    return max(2 * now.model.cost - sum(one.saved for one in unknown) - bench.samples, 0.0)
+    """Chi-square beyond the noise that a model leaves together with unknown dependences."""
+    saved = explained(now.knots, unknown) - explained(now.knots, ())
+    return max(2 * now.model.cost - saved - bench.samples, 0.0)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
@@ -445,7 +494,14 @@ def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test
         candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
     times, predicted, measured, begin = predictions(
-        candidates, test, bench.noise, run_in, bench.split, stretches.of_samples[0], bench.room
+        candidates,
+        test,
+        bench.noise,
+        run_in,
+        bench.split,
+        stretches.of_samples[0],
+        bench.room,
+        bench.slots(0),
     )
     held_out = bench.twin(test) is None
     return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, held_out)

@@ -4,16 +4,26 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .._compiled import compiled
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
-from ..fitting import Affine, Problem, Room, Task, Windows, cut, predict, refine_windows, start_precision
+from ..fitting import (
+    Affine,
+    Problem,
+    Room,
+    Task,
+    Windows,
+    cut,
+    predict,
+    refine_windows,
+    start_precision,
+    wrapped,
+)
 from ..logs import Log
 from ..vehicle import Vehicle
-from ._model import SLOTS
 from ._result import BeforeAfter, Gain, Predictions
 from ._saturated import SaturatedPlant
 
@@ -63,7 +73,7 @@ class Candidate:
         return dataclasses.replace(self, vehicle=vehicle, theta=theta)
 
 
-@eqx.filter_jit
+@compiled
 def _predicted(problem, theta, delta):
     return predict(problem, theta, delta)[0]
 
@@ -76,10 +86,11 @@ def predictions(
     split: int,
     segment: np.ndarray,
     room: Room,
+    slots: int,
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, int]:
     """Times, predicted channels of each candidate, measured channels, and where the prediction begins.
 
-    `room`: that of the training, whose program estimates the starts where the log fits into it.
+    `room`, `slots`: those of the training, whose program estimates the starts where the log fits into it.
 
     Each candidate estimates the state at a start by itself, from the `run_in` seconds before it; what
     lies after the start is not looked at.
@@ -104,11 +115,11 @@ def predictions(
         # No parameter is free here, only the states at the starts.
         task = Task(
             Problem(plant, records, seen, precision, accelerations, jnp.asarray(split)),
-            Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS))),
-            jnp.ones(SLOTS),
-            jnp.zeros(SLOTS),
+            Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
+            jnp.ones(slots),
+            jnp.zeros(slots),
         )
-        started = refine_windows(task, jnp.zeros(SLOTS), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
+        started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
         problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
         return np.asarray(_predicted(problem, theta, started.delta))[: data.windows.count]
 
@@ -129,8 +140,8 @@ def _in_phase(tried: np.ndarray, windows: Windows, begin: int) -> np.ndarray:
 
     - `tried` [phases, starts, steps, 18]: the predictions with phases spread evenly over a turn.
     """
-    tried = tried[0] + _wrapped(tried - tried[0])
-    error = _wrapped(tried - np.asarray(windows.measured)) * np.asarray(windows.weight)
+    tried = tried[0] + np.asarray(wrapped(tried - tried[0]))
+    error = np.asarray(wrapped(tried - np.asarray(windows.measured))) * np.asarray(windows.weight)
     # All that lies before a start: the run-ins of the starts up to it, which stand in order of time.
     past = np.cumsum((error[:, :, :begin] ** 2).sum(axis=(2, 3)), axis=1)
     count = len(tried)
@@ -143,16 +154,9 @@ def _in_phase(tried: np.ndarray, windows: Windows, begin: int) -> np.ndarray:
     return np.einsum("sk,kstc->stc", share[best], tried)
 
 
-def _wrapped(error: np.ndarray) -> np.ndarray:
-    turn = slice(3, 6)
-    error = error.copy()
-    error[..., turn] = (error[..., turn] + np.pi) % (2 * np.pi) - np.pi
-    return error
-
-
 def _missed(predicted: np.ndarray, measured: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Errors of predictions, NaN only where nothing was measured: one that runs away is far off."""
-    error = _wrapped(predicted - measured)
+    error = np.asarray(wrapped(predicted - measured))
     most = RUNAWAY * noise
     error = np.where(np.isfinite(error), np.clip(error, -most, most), most)
     return np.where(np.isfinite(measured), error, np.nan)

@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._compiled import compiled
 from .._errors import InputError
 from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
+    LEAST_DAMPING,
     Affine,
     Check,
     Cut,
@@ -34,12 +36,15 @@ from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
 from ._signals import Places, places
 
-# Room for parameters in the compiled refinement: coefficients of the file, members and one suspect.
-SLOTS = 44
+# Room for parameters in the compiled refinement: coefficients of the file, members and one suspect; and
+# beside the coefficients in the faster one that serves most rounds.
+SLOTS, FEW = 44, 8
 # Members with a beginning of their own: parameters that the compiled screening has columns for, and
 # stretches between beginnings, those of the vehicle file included.
 BEGUN = 6
 SEGMENTS = 4
+# Damping with which a refinement begins, at most: as the one before ended, which knows how far a step holds.
+MOST_DAMPING = 0.1
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
@@ -88,7 +93,7 @@ class Model:
 
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
     - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
-    - `promised`: the cost that one more step of it would reach by its last linearisation.
+    - `promised`: the cost that one more step of it would reach by its last linearisation, with `damping`.
     - `frozen`: whether the file's coefficients are held at their values.
     """
 
@@ -97,6 +102,7 @@ class Model:
     delta: Array
     cost: float
     promised: float = np.inf
+    damping: float = LEAST_DAMPING
     frozen: bool = False
 
 
@@ -121,7 +127,7 @@ class Workbench:
         self.noise = noise
         self.split = split
         self.families = families
-        self.base = _base_coefficients(vehicle, layout)
+        self.base = base_coefficients(vehicle, layout)
         self.count = data.windows.count
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
         self.window_log = np.asarray(data.windows.log)
@@ -148,6 +154,14 @@ class Workbench:
 
     def width(self, members: Sequence[Member]) -> int:
         return len(self.base) + sum(self.layout.columns[m.suspect].shape[1] for m in members)
+
+    def slots(self, width: int) -> int:
+        """Parameters that the compiled refinement has room for: few where few are asked for."""
+        few = len(self.base) + FEW
+        return few if width <= few < SLOTS else SLOTS
+
+    def _padded(self, z: np.ndarray, fill: float = 0.0) -> np.ndarray:
+        return np.append(z, np.full(self.slots(len(z)) - len(z), fill))
 
     def slices(self, members: Sequence[Member]) -> list[slice]:
         """Where each member's parameters lie in z."""
@@ -217,7 +231,8 @@ class Workbench:
         """From z to the saturated model's parameters in each segment, of the training logs by default."""
         begun = self.beginnings(members)
         passed = filled((stretches or self.stretches(members)).passed)
-        columns, acts = np.zeros((self.layout.size, SLOTS)), np.ones((SEGMENTS, SLOTS))
+        slots = self.slots(self.width(members))
+        columns, acts = np.zeros((self.layout.size, slots)), np.ones((SEGMENTS, slots))
         for j, coefficient in enumerate(self.base):
             columns[coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
@@ -257,13 +272,12 @@ class Workbench:
         return out
 
     def task(self, model: Model) -> Task:
-        precision = np.ones(SLOTS)
-        precision[: len(model.z)] = self._precision(model)
+        precision = self._padded(self._precision(model), 1.0)
         return Task(
             self.problem(model.members),
             self.affine(model.members),
             jnp.asarray(precision),
-            jnp.zeros(SLOTS),
+            jnp.zeros(len(precision)),
         )
 
     # --- what the search asks ------------------------------------------------------------------
@@ -272,14 +286,22 @@ class Workbench:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.room.windows, 12)), np.inf)
 
     def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-7) -> Model:
-        """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square."""
-        z = np.zeros(SLOTS)
-        z[: len(model.z)] = model.z
-        out = refine_windows(self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol)
+        """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square.
+
+        Where the vehicle runs away from the start, it begins at the file's values.
+        """
+        z = self._padded(model.z)
+        damping = float(np.clip(model.damping, LEAST_DAMPING, MOST_DAMPING))
+        out = refine_windows(
+            self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
+        )
         cost = float(out.cost)
+        if not np.isfinite(cost) and model.z[: len(self.base)].any():
+            return self.refine(self.as_filed(model), max_steps, rtol)
         promised = cost - float(out.promised) if np.isfinite(cost) else np.inf
         z = np.asarray(out.z)[: len(model.z)]
-        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, promised=promised)
+        damping = float(out.damping)
+        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, promised=promised, damping=damping)
 
     def frozen(self, model: Model) -> Model:
         """The model with the file's coefficients held at their values."""
@@ -288,13 +310,13 @@ class Workbench:
     def as_filed(self, model: Model) -> Model:
         """The model with the file's coefficients at their values, and windows that begin as measured."""
         z = np.concatenate([np.zeros(len(self.base)), model.z[len(self.base) :]])
-        return dataclasses.replace(model, z=z, delta=jnp.zeros_like(model.delta), cost=np.inf)
+        return dataclasses.replace(
+            model, z=z, delta=jnp.zeros_like(model.delta), cost=np.inf, damping=LEAST_DAMPING
+        )
 
     def theta(self, model: Model, stretches: Stretches | None = None) -> np.ndarray:
         """The saturated model's parameters in each segment, of the training logs by default."""
-        z = np.zeros(SLOTS)
-        z[: len(model.z)] = model.z
-        return np.asarray(self.affine(model.members, stretches)(jnp.asarray(z)))
+        return np.asarray(self.affine(model.members, stretches)(jnp.asarray(self._padded(model.z))))
 
     def water(self, model: Model) -> Float[np.ndarray, "3"]:
         """Velocity of the water [m/s], where all that begins has begun."""
@@ -406,9 +428,7 @@ class Workbench:
 
     def check(self, model: Model) -> Check:
         """What the logs tell of the file's coefficients, at the model."""
-        z = np.zeros(SLOTS)
-        z[: len(model.z)] = model.z
-        task = self.task(model)
+        z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
         refined = refine_windows(task, jnp.asarray(z), model.delta, 1)
         names = [coefficient_name(_KINDS[c.label.partition(":")[0]], DOFS[c.axis]) for c in self.base]
@@ -447,12 +467,12 @@ def _same(a: Log, b: Log) -> bool:
     )
 
 
-@eqx.filter_jit
+@compiled
 def _residuals(problem, theta, delta):
     return predict(problem, theta, delta)[1]
 
 
-@eqx.filter_jit
+@compiled
 def _linearise(problem, affine, delta, knots: int):
     return linearise(problem, affine, delta, knots)
 
@@ -469,7 +489,7 @@ class Coefficient:
     unit: str
 
 
-def _base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
+def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
     """Added mass and damping of each free axis, with priors of a tenth of their value.
 
     Of the total mass for added mass. Where the file says zero, the prior is what brakes the axis by 2 %

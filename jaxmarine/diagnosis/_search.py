@@ -19,6 +19,8 @@ CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
 # of what the best saves. They end where a step promises less than this share of the chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 5, 12, 0.5, 1e-4
+# Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
+MORE, AFRESH = 5, 2
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -141,13 +143,17 @@ def _trials(
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
     leading = HOPEFUL * max([2 * (model.cost - t.model.promised) for t in trials], default=0.0)
+    trials.sort(key=lambda t: t.model.promised)
+    left, anew = MORE, AFRESH
     for i, trial in enumerate(trials):
         more = trial.model.cost - trial.model.promised
-        if more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
+        if left and more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
+            left -= 1
             fitted = bench.refine(trial.model, STEPS, ROUGH)
             stuck = 2 * (fitted.cost - fitted.promised) > hopeful or not bench.sound(fitted)
-            if stuck and trial.saved + 2 * more > leading:
+            if anew and stuck and trial.saved + 2 * more > leading:
                 # The coefficients of the file had bent to what the suspect explains, and stand in its way.
+                anew -= 1
                 afresh = bench.refine(bench.as_filed(fitted), 2 * STEPS, ROUGH)
                 fitted = min(fitted, afresh, key=lambda m: (not bench.sound(m), m.cost))
             trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
@@ -202,8 +208,12 @@ def search(
     bench: Workbench,
     model: Model,
     progress: Callable[[str], None] = lambda text: None,
+    hopeless: Callable[[Model], bool] = lambda model: False,
 ) -> Found:
-    """Adds suspects to a refined model one after another until nothing is worth adding."""
+    """Adds suspects to a refined model one after another until nothing is worth adding.
+
+    - `hopeless`: whether a model with some members is no better than none; asked from the second one on.
+    """
     stats = bench.screen(model)
     rounds: list[Round] = []
     while len(model.members) < MOST:
@@ -237,6 +247,8 @@ def search(
         if not accepted:
             break
         model, stats = trials[0].model, after
+        if len(model.members) > 1 and hopeless(model):
+            break
     return Found(model, stats, tuple(rounds))
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
-from ._score import blocks, step_with, t_value
+from ._score import blocks, solve, step_with, t_value
 from ._signals import Places, Signals
 
 # Standard errors (over windows) by which a dependence must help on left-out windows.
@@ -240,6 +240,29 @@ def _causal(
     return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 
+def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and information of the known numbers, with their prior, and of wrenches at the knots."""
+    stats = k.wrench(wrench)
+    h, g = stats.h.sum(0), stats.g.sum(0)
+    n = k.width
+    h[:n, :n] += np.diag(k.precision)
+    g[:n] += k.precision * k.offset
+    h[range(n, len(h)), range(n, len(h))] *= 1 + 1e-6
+    return g, h
+
+
+def _wrenches(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
+    """The dependences' regressors as wrenches at the knots."""
+    empty = np.zeros((*k.places.t.shape, 6, 0))
+    return np.concatenate([empty, *(on_axis(one.axis, one.features) for one in found)], axis=-1)
+
+
+def explained(k: Knots, found: tuple[Dependence, ...]) -> float:
+    """Chi-square saved by the dependences when the known numbers are refitted with them (linearised)."""
+    g, h = _beside(k, _wrenches(k, found))
+    return float(g @ solve(h, g))
+
+
 def cost_of_removal(
     k: Knots, members: list[slice], found: tuple[Dependence, ...]
 ) -> list[tuple[float, float]]:
@@ -248,19 +271,11 @@ def cost_of_removal(
     A true cause costs the same in both; one that only stood in for an unknown dependence costs little
     once that dependence may act for itself.
     """
-    whole = np.zeros((*k.places.t.shape, 6, 0))
-    for one in found:
-        whole = np.concatenate([whole, on_axis(one.axis, one.features)], axis=-1)
+    systems = _beside(k, _wrenches(k, ())), _beside(k, _wrenches(k, found))
     out = []
     for where in members:
         pair = []
-        for extra in (whole[..., :0], whole):
-            stats = k.wrench(extra)
-            h, g = stats.h.sum(0), stats.g.sum(0)
-            n = k.width
-            h[:n, :n] += np.diag(k.precision)
-            g[:n] += k.precision * k.offset
-            h[range(n, len(h)), range(n, len(h))] *= 1 + 1e-6
+        for g, h in systems:
             held = np.arange(where.start, where.stop)
             least, without = (step_with(g, h, fixed, -k.offset[fixed]) for fixed in (held[:0], held))
             pair.append(float(2 * g @ (without - least) + without @ h @ without - least @ h @ least))

@@ -58,6 +58,12 @@ from ._linearise import (
 from ._linearise import (
     start_precision as start_precision,
 )
+from ._linearise import (
+    wrapped as wrapped,
+)
+from ._solver import (
+    LEAST_DAMPING as LEAST_DAMPING,
+)
 from ._solver import (
     Refined as Refined,
 )

@@ -23,7 +23,7 @@ class Trust(eqx.Module):
     first: Bool[Array, ""]
 
     @classmethod
-    def start(cls, damping: float) -> Self:
+    def start(cls, damping: float | Float[Array, ""]) -> Self:
         big = jnp.asarray(jnp.inf, jnp.result_type(float))
         return cls(big, big, jnp.asarray(damping, big.dtype), jnp.asarray(2.0, big.dtype), jnp.array(True))
 

@@ -130,7 +130,7 @@ def _unflat(x: Array, lagged: Array) -> State:
     return State(x[:3], x[3:7], x[7:13], lagged)
 
 
-def _wrapped(error: Float[Array, "*steps 18"]) -> Array:
+def wrapped(error: Float[Array, "*steps 18"]) -> Array:
     """Differences of angles within (-pi, pi]."""
     return jnp.where(ANGLES, (error + jnp.pi) % (2 * jnp.pi) - jnp.pi, error)
 
@@ -293,7 +293,7 @@ def predict(problem: Problem, theta, delta):
         return jax.vmap(show)(states, track.instant, track.segment)
 
     channels = jax.vmap(one)(problem.windows, tracks, delta)
-    return channels, _wrapped(channels - problem.windows.measured) * problem.windows.weight
+    return channels, wrapped(channels - problem.windows.measured) * problem.windows.weight
 
 
 def _exponential(f: Array, split) -> tuple[Array, Array]:
@@ -463,7 +463,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         weight = windows.weight
         jacobian = (h_x * weight[..., None]) @ s
         jacobian = jacobian.at[:, :, 12:].add(h_z * weight[..., None]).reshape(-1, 12 + count)
-        residual = (_wrapped(value - windows.measured) * weight).reshape(-1)
+        residual = (wrapped(value - windows.measured) * weight).reshape(-1)
         h = jacobian.T @ jacobian
         g = jacobian.T @ residual
         return Statistics(

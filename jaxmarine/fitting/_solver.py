@@ -15,11 +15,14 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .._compiled import compiled
 from ._damping import Trust, pick
 from ._linearise import Affine, Problem, Statistics, linearise
 
 # Damping of the initial states, as a share of that of the parameters.
 STATES = 1e-4
+# Damping of the first step, where nothing is known of the ones before.
+LEAST_DAMPING = 1e-4
 
 
 class Task(eqx.Module):
@@ -63,8 +66,8 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
     """Damped Gauss-Newton on `residual_statistics`; damping as in `Trust`, scaled by Marquardt (1963).
 
     It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, where
-    damping of 1e8 finds no decrease, or after `limit` steps; `rtol` and `limit` come as options, traced,
-    so that one compiled program serves a probe and a long fit.
+    damping of 1e8 finds no decrease, or after `limit` steps; these two and the damping that it starts with
+    come as options, traced, so that one compiled program serves a probe and a long fit.
     """
 
     rtol: float = 1e-9
@@ -72,11 +75,11 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
     norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        del fn, args, options, f_struct, tags
+        del fn, args, f_struct, tags
         return _State(
             y_eval=y,
             stats=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
-            trust=Trust.start(1e-4),
+            trust=Trust.start(options["damping"]),
             terminate=jnp.array(False),
             steps=jnp.array(0),
         )
@@ -136,14 +139,20 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         return (
             y,
             state.stats,
-            {"cost": state.trust.cost, "steps": state.steps, "predicted": state.trust.predicted},
+            {
+                "cost": state.trust.cost,
+                "steps": state.steps,
+                "predicted": state.trust.predicted,
+                "damping": state.trust.damping,
+            },
         )
 
 
 class Refined(eqx.Module):
     """Where a refinement ended: z, the windows' initial states, the statistics there, and why.
 
-    `promised` is the decrease of the cost that one step more would bring by the last linearisation.
+    `promised` is the decrease of the cost that one step more would bring by the last linearisation, with
+    the `damping` that it would have.
     """
 
     z: Float[Array, " z"]
@@ -151,20 +160,31 @@ class Refined(eqx.Module):
     stats: Statistics
     cost: Float[Array, ""]
     promised: Float[Array, ""]
+    damping: Float[Array, ""]
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
     result: optx.RESULTS
 
 
 def refine_windows(
-    task: Task, z, delta, max_steps: int = 30, atol: float = 1e-2, rtol: float = 1e-9
+    task: Task,
+    z,
+    delta,
+    max_steps: int = 30,
+    atol: float = 1e-2,
+    rtol: float = 1e-9,
+    damping: float = LEAST_DAMPING,
 ) -> Refined:
     """Minimises the chi-square over z and all initial states, from z and delta."""
-    options = {"limit": jnp.asarray(max_steps), "rtol": jnp.asarray(rtol)}
+    options = {
+        "limit": jnp.asarray(max_steps),
+        "rtol": jnp.asarray(rtol),
+        "damping": jnp.asarray(damping, jnp.result_type(float)),
+    }
     return _refine_windows(task, z, delta, options, atol)
 
 
-@eqx.filter_jit
+@compiled
 def _refine_windows(task: Task, z, delta, options, atol: float) -> Refined:
     solution: Any = optx.minimise(
         residual_statistics,
@@ -184,6 +204,7 @@ def _refine_windows(task: Task, z, delta, options, atol: float) -> Refined:
         stats=solution.aux,
         cost=solution.stats["cost"],
         promised=solution.stats["predicted"],
+        damping=solution.stats["damping"],
         steps=solution.stats["steps"],
         converged=solution.result == optx.RESULTS.successful,
         result=solution.result,
