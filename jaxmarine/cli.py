@@ -284,6 +284,57 @@ def check(
     _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
 
 
+@app.command(
+    epilog='Example: `jaxmarine plan --vehicle rov.toml --cause "buoyancy force=-5" '
+    '--cause "constant_wrench:heave value=5" --out plan.csv`'
+)
+def plan(
+    vehicle: VehicleOption,
+    cause: Annotated[
+        list[str],
+        typer.Option(
+            "--cause",
+            help="EFFECT[:TARGET] with its parameters at what explains the log; repeat for each cause.",
+            show_default=False,
+        ),
+    ],
+    duration: Annotated[float, typer.Option("--duration", help="Length of the manoeuvre [s].")] = 60.0,
+    out: Annotated[Path, typer.Option("--out", help="Commands and expected motion (CSV).")] = Path(
+        "plan.csv"
+    ),
+    depth: Annotated[tuple[float, float], typer.Option("--depth", help="Shallowest and deepest [m].")] = (
+        0.5,
+        5.0,
+    ),
+    tilt: Annotated[float, typer.Option("--tilt", help="Largest roll and pitch [rad].")] = 0.6,
+    speed: Annotated[float, typer.Option("--speed", help="Largest speed [m/s].")] = 1.5,
+    radius: Annotated[float, typer.Option("--radius", help="Largest distance from the start [m].")] = 15.0,
+) -> None:
+    """Proposes the commands that would tell causes apart which a log could not, in a box of safe states."""
+    _prepare()
+    from .diagnosis import Box
+    from .diagnosis import plan as run
+    from .logs import write_log
+    from .vehicle_io import cause_named, load_vehicle
+
+    _file(out)
+    craft = load_vehicle(vehicle)
+    causes = [cause_named(craft, text) for text in cause]
+    box = Box(depth, tilt, speed, radius)
+    with _progress(f"planning; {_FIRST_TIME}") as tell:
+        result = run(craft, causes, duration, box, progress=tell)
+    write_log(result.log, out)
+    random = ", ".join(f"{evidence:.1f}" for evidence in sorted(result.random_evidence))
+    _out.print(
+        f"A log of this manoeuvre would tell the causes apart by {result.evidence:.1f} nats"
+        + (f"; logs of random ones in the same box by {random}." if random else "."),
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    _out.print(f"Commands: {out}", markup=False, highlight=False, soft_wrap=True)
+
+
 @app.command(epilog="Example: `jaxmarine demo --out demo-report`")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path("demo-report"),

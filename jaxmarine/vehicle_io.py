@@ -35,6 +35,29 @@ def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -
     raise ValueError(f"has the target `{target}`, but `{effect}` takes one of: {targets}.")
 
 
+def cause_named(vehicle: Vehicle, text: str) -> Placed:
+    """A cause as words, `EFFECT[:TARGET] parameter=value ...`, acting throughout; raises `InputError`."""
+    label, *assignments = text.split() or [""]
+    effect, _, target = label.partition(":")
+    values = {}
+    try:
+        suspect = suspect_named(vehicle, effect, target or None)
+        for assignment in assignments:
+            name, _, value = assignment.partition("=")
+            if name not in suspect.slots:
+                raise ValueError(f"has no parameter `{name}`; give {', '.join(suspect.slots)}.")
+            try:
+                values[name] = float(value)
+            except ValueError as error:
+                raise ValueError(f"needs a number after `{name}=`, not `{value}`.") from error
+        missing = [name for name in suspect.slots if name not in values]
+        if missing:
+            raise ValueError(f"needs a value of {missing[0]}, such as `{label} {missing[0]}=1.0`.")
+    except ValueError as error:
+        raise InputError(f"Cause `{label}` {error}") from error
+    return Placed(place(suspect, vehicle, values), suspect.target)
+
+
 def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
     if entry.effect in _LEARNED:
         if entry.arrays is None or not entry.inputs:

@@ -2,6 +2,9 @@
 
 from ._diagnose import diagnose as diagnose
 from ._diagnose import gain_of as gain_of
+from ._plan import Box as Box
+from ._plan import Manoeuvre as Manoeuvre
+from ._plan import plan as plan
 from ._result import (
     Alternative as Alternative,
 )

@@ -25,7 +25,7 @@ from ._learn import learn
 from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
-from ._search import MARGIN, STEPS, Found, Round, dispersion, needed, penalty, search
+from ._search import MARGIN, STEPS, Found, Round, dispersion, needed, own_dispersion, penalty, search
 from ._signals import Signals
 from ._unknown import Dependence, cost_of_removal, dependences, explained
 
@@ -280,12 +280,15 @@ def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workb
 # --- settling ------------------------------------------------------------------------------------
 
 
-def _pruned(bench: Workbench, model: Model, phi: float) -> Model:
+def _pruned(bench: Workbench, model: Model) -> Model:
     """The model without members that are not needed beside the others, or mean nothing beside them."""
     i = 0
     while i < len(model.members):
+        stats = bench.screen(model)
+        phi = dispersion(bench, model, stats)
         less = bench.refine(bench.without_member(model, i))
-        idle = 2 * (less.cost - model.cost) < needed(bench, model.members[i], phi)
+        own = own_dispersion(bench, model, stats, bench.slices(model.members)[i], phi)
+        idle = 2 * (less.cost - model.cost) < needed(bench, model.members[i], own)
         if idle or (bench.sound(less) and not bench.sound(model)):
             model, i = less, 0
         else:
@@ -336,10 +339,10 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
 def _settled(bench: Workbench, found: Found) -> tuple[Model, bool]:
     """What the search found, without what is not needed, and whether the whole file was recalibrated."""
     phi = dispersion(bench, found.model, found.stats)
-    model, dense = settle(bench, _pruned(bench, found.model, phi), phi)
+    model, dense = settle(bench, _pruned(bench, found.model), phi)
     model = _beginnings_refined(bench, model)
     phi = dispersion(bench, model, bench.screen(model))
-    return _pruned(bench, _reweighed(bench, model, found.rounds, phi), phi), dense
+    return _pruned(bench, _reweighed(bench, model, found.rounds, phi)), dense
 
 
 # --- what is unknown -----------------------------------------------------------------------------
@@ -357,7 +360,7 @@ def _with_unknown(
             return now, unknown
         now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
         # What was found beside a stand-in may have mended what that spoilt.
-        model = _pruned(bench, now.model, now.phi)
+        model = _pruned(bench, now.model)
         if model is not now.model:
             now = judged(bench, model)
     return now, ()

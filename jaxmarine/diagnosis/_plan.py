@@ -32,6 +32,8 @@ HOLD = 2.0  # [s] between corners of a command
 WINDOW = 4.0  # [s], as in a diagnosis: each window has an initial state of its own
 # Random manoeuvres that are moved into the box and improved, and steps for either.
 RANDOM, STEPS = 4, 60
+# Standard deviation of the corners of a random manoeuvre's commands.
+FIRST = 0.3
 # Share of the box that a manoeuvre is to keep to, and the price of leaving it.
 INSIDE, WALL = 0.8, 1e3
 # Precision of a rival's parameters: a trace, for what the manoeuvre does not determine.
@@ -83,24 +85,20 @@ class _Causes(eqx.Module):
     """Everything that the separation of causes is computed from.
 
     - `theta`: parameters of the saturated plant with each cause at its given values; `columns`: from the
-      numbers that are refitted to them, for each cause; `precision` of those numbers.
+      numbers that are refitted to them, `precision` of those numbers; filled up with numbers that do nothing.
     - `weight`: 1 / standard deviation of each channel, 0 where it is not measured.
     """
 
     plant_of: SaturatedPlant
-    theta: tuple[Float[Array, " parameters"], ...]
-    columns: tuple[Float[Array, "parameters z"], ...]
-    precision: tuple[Float[Array, " z"], ...]
+    theta: Float[Array, "causes parameters"]
+    columns: Float[Array, "causes parameters z"]
+    precision: Float[Array, "causes z"]
     weight: Float[Array, "18"]
     t: Float[Array, " times"]
     start: State
     split: int = eqx.field(static=True)
     window: int = eqx.field(static=True)
     box: Box = eqx.field(static=True)
-
-    def plant(self, which: int, z: Array) -> Plant:
-        """The vehicle with a cause, its parameters and the file's coefficients moved by z."""
-        return self.plant_of(self.theta[which] + self.columns[which] @ z, 0)
 
     def _roll(self, plant: Plant, start: State, tracks) -> tuple[State, Array]:
         """States and channels at each step of a stretch."""
@@ -116,14 +114,18 @@ class _Causes(eqx.Module):
         wrench = jnp.zeros((len(self.t), 6))
         return *inputs(plant, self.t, commands, wrench), step_lengths(self.t)
 
-    def flown(self, which: int, commands: Array) -> tuple[State, Array]:
-        """States and channels of the vehicle with a cause, over the whole manoeuvre."""
-        plant = self.plant(which, jnp.zeros(self.columns[which].shape[1]))
-        return self._roll(plant, self.start, self._tracks(plant, commands))
+    def flown(self, commands: Array) -> tuple[State, Array]:
+        """States and channels of the vehicle with each cause, over the whole manoeuvre."""
 
-    def seen(self, which: int, commands: Array, starts: State, z, moved) -> Array:
+        def one(theta):
+            plant = self.plant_of(theta, 0)
+            return self._roll(plant, self.start, self._tracks(plant, commands))
+
+        return jax.vmap(one)(self.theta)
+
+    def _windows(self, theta: Array, commands: Array, starts: State, moved: Array) -> Array:
         """Channels of every window, each from its own state, all moved by 12 numbers."""
-        plant = self.plant(which, z)
+        plant = self.plant_of(theta, 0)
         count = len(self.t) // self.window
 
         def cut(a):
@@ -140,46 +142,60 @@ class _Causes(eqx.Module):
 
         return jax.vmap(one)(starts, jax.tree.map(cut, self._tracks(plant, commands)))
 
-    def separation(self, true: int, rival: int, commands: Array, states: State) -> Array:
-        """Chi-square that the rival leaves of the true cause's log when all else is refitted (one step)."""
-        starts = jax.tree.map(lambda a: a[: len(self.t) - self.window + 1 : self.window], states)
-        own = self.seen(true, commands, starts, jnp.zeros(self.columns[true].shape[1]), jnp.zeros(12))
-        n = self.columns[rival].shape[1]
+    def separations(self, commands: Array, states: State) -> Float[Array, " pairs"]:
+        """Chi-square that each rival leaves of each cause's log when all else is refitted (one step)."""
+        pairs = np.array(list(itertools.permutations(range(len(self.theta)), 2)))
+        n = self.columns.shape[-1]
+        prior = jnp.diag(jnp.asarray(start_precision(self.plant_of.vehicle.free)))
 
-        def missed(x):
-            off = wrapped(self.seen(rival, commands, starts, x[:n], x[n:]) - own)
-            return (self.weight * off).reshape(len(own), -1)
+        def one(true, states, theta, columns, precision):
+            starts = jax.tree.map(lambda a: a[: len(self.t) - self.window + 1 : self.window], states)
+            own = self._windows(true, commands, starts, jnp.zeros(12))
 
-        nothing = jnp.zeros(n + 12)
-        off, slopes = missed(nothing), jax.jacfwd(missed)(nothing)
-        h = jnp.einsum("wnp,wnq->wpq", slopes, slopes)
-        g = jnp.einsum("wnp,wn->wp", slopes, off)
-        # Each window's initial state is free; then the rival and, within their error, the coefficients.
-        h_xx = h[:, n:, n:] + jnp.diag(jnp.asarray(start_precision(self.plant_of.vehicle.free)))
-        solved = jnp.linalg.solve(h_xx, jnp.concatenate([h[:, n:, :n], g[:, n:, None]], axis=2))
-        g_z = (g[:, :n] - jnp.einsum("wzx,wx->wz", h[:, :n, n:], solved[..., -1])).sum(0)
-        h_z = (h[:, :n, :n] - jnp.einsum("wzx,wxy->wzy", h[:, :n, n:], solved[..., :-1])).sum(0)
-        left = (off**2).sum() - (g[:, n:] * solved[..., -1]).sum()
-        return left - g_z @ jnp.linalg.solve(h_z + jnp.diag(self.precision[rival]), g_z)
+            def missed(x):
+                seen = self._windows(theta + columns @ x[:n], commands, starts, x[n:])
+                return (self.weight * wrapped(seen - own)).reshape(len(own), -1)
 
-    def sizes(self, states: State) -> Float[Array, "limits times"]:
-        """Squared distances from the middle of the box, in halves of its size: depth, tilts, speed, radius."""
+            nothing = jnp.zeros(n + 12)
+            off, slopes = missed(nothing), jax.jacfwd(missed)(nothing)
+            h = jnp.einsum("wnp,wnq->wpq", slopes, slopes)
+            g = jnp.einsum("wnp,wn->wp", slopes, off)
+            # Each window's initial state is free; then the rival and, within their error, the coefficients.
+            right = jnp.concatenate([h[:, n:, :n], g[:, n:, None]], axis=2)
+            solved = jnp.linalg.solve(h[:, n:, n:] + prior, right)
+            g_z = (g[:, :n] - jnp.einsum("wzx,wx->wz", h[:, :n, n:], solved[..., -1])).sum(0)
+            h_z = (h[:, :n, :n] - jnp.einsum("wzx,wxy->wzy", h[:, :n, n:], solved[..., :-1])).sum(0)
+            left = (off**2).sum() - (g[:, n:] * solved[..., -1]).sum()
+            return left - g_z @ jnp.linalg.solve(h_z + jnp.diag(precision), g_z)
+
+        true, rival = pairs[:, 0], pairs[:, 1]
+        return jax.vmap(one)(
+            self.theta[true],
+            jax.tree.map(lambda a: a[true], states),
+            self.theta[rival],
+            self.columns[rival],
+            self.precision[rival],
+        )
+
+    def sizes(self, states: State) -> Float[Array, "causes times limits"]:
+        """Squared distances from the middle of the box, in halves of its size.
+
+        Of depth, roll, pitch, speed and radius.
+        """
         low, high = self.box.depth
-        depth = (states.position[:, 2] - 0.5 * (low + high)) / (0.5 * (high - low))
-        angles = jax.vmap(to_euler)(states.attitude)
-        away = (states.position - self.start.position)[:, :2]
+        depth = (states.position[..., 2] - 0.5 * (low + high)) / (0.5 * (high - low))
+        angles = jax.vmap(jax.vmap(to_euler))(states.attitude)
+        away = (states.position - self.start.position)[..., :2]
         return jnp.stack(
             [
                 depth**2 * self.plant_of.vehicle.free[2],
-                *(angles[:, :2].T / self.box.tilt) ** 2,
-                (states.velocity[:, :3] ** 2).sum(1) / self.box.speed**2,
-                (away**2).sum(1) / self.box.radius**2,
-            ]
+                (angles[..., 0] / self.box.tilt) ** 2,
+                (angles[..., 1] / self.box.tilt) ** 2,
+                (states.velocity[..., :3] ** 2).sum(-1) / self.box.speed**2,
+                (away**2).sum(-1) / self.box.radius**2,
+            ],
+            axis=-1,
         )
-
-    def outside(self, states: State) -> Array:
-        """How far the states lie outside the inner box, squared and averaged over time."""
-        return (jnp.maximum(self.sizes(states) - INSIDE**2, 0.0) ** 2).mean(1).sum()
 
 
 def _commands(corners: Float[Array, "corners columns"], t: Array) -> Array:
@@ -188,40 +204,41 @@ def _commands(corners: Float[Array, "corners columns"], t: Array) -> Array:
     return jax.vmap(lambda c: jnp.interp(t / t[-1], x, jnp.tanh(c)), in_axes=1, out_axes=1)(corners)
 
 
-def _least(causes: _Causes, commands: Array, flown: Sequence[State]) -> Array:
-    """Softly the least separation of any two causes, either of which may be the true one."""
-    pairs = itertools.permutations(range(len(flown)), 2)
-    apart = jnp.stack([causes.separation(i, j, commands, flown[i]) for i, j in pairs])
-    return 1.0 / (1.0 / jnp.maximum(apart, 1e-9)).sum()
-
-
-def _cost(corners: Array, causes: _Causes, aimed: bool) -> Array:
-    """The price of leaving the box, and if `aimed` the gain of telling the causes apart."""
+def _judge(corners: Array, causes: _Causes) -> tuple[Array, Array]:
+    """The separations, and the sizes of all states in that of the box."""
     commands = _commands(corners, causes.t)
-    flown = [causes.flown(i, commands)[0] for i in range(len(causes.theta))]
-    cost = WALL * jnp.stack([causes.outside(states) for states in flown]).sum()
-    return cost - jnp.log(_least(causes, commands, flown) + 1.0) if aimed else cost
+    states, _ = causes.flown(commands)
+    return causes.separations(commands, states), causes.sizes(states)
+
+
+def _leaving(sizes: Array) -> Array:
+    """The price of leaving the inner box: squared, averaged over time."""
+    return WALL * (jnp.maximum(sizes - INSIDE**2, 0.0) ** 2).mean(axis=1).sum()
+
+
+def _staying(corners: Array, causes: _Causes) -> Array:
+    return _leaving(causes.sizes(causes.flown(_commands(corners, causes.t))[0]))
+
+
+def _telling(corners: Array, causes: _Causes) -> Array:
+    """Less for a larger separation, of the pair that is hardest to tell, and for staying in the box."""
+    apart, sizes = _judge(corners, causes)
+    softly_least = 1.0 / (1.0 / jnp.maximum(apart, 1e-9)).sum()
+    return _leaving(sizes) - jnp.log(softly_least + 1.0)
 
 
 @eqx.filter_jit
-def _improved(causes: _Causes, corners: Array, aimed: bool) -> Array:
+def _improved(cost: Callable, causes: _Causes, corners: Array) -> Array:
     """Corners that cost less."""
-    return optx.minimise(
-        lambda corners, causes: _cost(corners, causes, aimed),
-        optx.BFGS(rtol=1e-4, atol=1e-4),
-        corners,
-        causes,
-        max_steps=STEPS,
-        throw=False,
-    ).value
+    solver = optx.BFGS(rtol=1e-4, atol=1e-4)
+    return optx.minimise(cost, solver, corners, causes, max_steps=STEPS, throw=False).value
 
 
 @eqx.filter_jit
 def _judged(causes: _Causes, corners: Array) -> tuple[Array, Array]:
-    """The separation, and the largest squared size of any state in that of the box."""
-    commands = _commands(corners, causes.t)
-    flown = [causes.flown(i, commands)[0] for i in range(len(causes.theta))]
-    return _least(causes, commands, flown), jnp.max(jnp.stack([causes.sizes(s) for s in flown]))
+    """The least separation, and the largest squared size."""
+    apart, sizes = _judge(corners, causes)
+    return apart.min(), sizes.max()
 
 
 def plan(
@@ -248,16 +265,16 @@ def plan(
     inside, better = [], []
     for number in range(RANDOM):
         progress(f"manoeuvre {number + 1} of {RANDOM}: into the box")
-        drawn = _improved(problem, jnp.asarray(rng.normal(size=shape)), aimed=False)
+        drawn = _improved(_staying, problem, jnp.asarray(FIRST * rng.normal(size=shape)))
         inside.append((drawn, *map(float, _judged(problem, drawn))))
         progress(f"manoeuvre {number + 1} of {RANDOM}: telling the causes apart")
-        best = _improved(problem, drawn, aimed=True)
+        best = _improved(_telling, problem, drawn)
         better.append((best, *map(float, _judged(problem, best))))
     kept = [found for found in (*better, *inside) if np.isfinite(found[1]) and found[2] <= 1.0]
     if not kept:
         raise InputError(
-            f"{vehicle.name}: no manoeuvre of {duration:g} s was found that stays in the box with each of the "
-            "causes; widen the box or plan for a shorter time."
+            f"{vehicle.name}: no manoeuvre of {duration:g} s was found that stays in the box with each "
+            "cause; widen the box or plan for a shorter time."
         )
     corners, apart, _ = max(kept, key=lambda found: found[1])
     random = [found for found in inside if np.isfinite(found[1]) and found[2] <= 1.0]
@@ -272,7 +289,7 @@ def plan(
 def _log(causes: _Causes, corners: Array, name: str) -> Log:
     """The commands, and what the vehicle with the first cause shows."""
     commands = _commands(corners, causes.t)
-    channels = np.asarray(causes.flown(0, commands)[1])
+    channels = np.asarray(causes.flown(commands)[1])[0]
     vehicle = causes.plant_of.vehicle
     shown = np.where(np.asarray(causes.weight) > 0, channels, np.nan)
     return Log(np.asarray(causes.t), shown, np.asarray(commands), None, vehicle.command_names, name)
@@ -309,14 +326,17 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         bent = np.zeros((layout.size, len(others)))
         bent[[c.index for c in others], range(len(others))] = 1.0
         columns.append(np.concatenate([layout.columns[i], bent], axis=1))
-        precision.append([TRACE] * len(value) + [c.prior**-2 for c in others])
+        precision.append(np.array([TRACE] * len(value) + [c.prior**-2 for c in others]))
+    width = max(map(len, precision))
+    columns = [np.pad(c, [(0, 0), (0, width - c.shape[1])]) for c in columns]
+    precision = [np.pad(p, (0, width - len(p)), constant_values=1.0) for p in precision]
     middle = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
     crafts = [vehicle.place(cause) for cause in causes]
     return _Causes(
         SaturatedPlant(vehicle, families, jnp.ones((1, len(vehicle.placed)))),
-        tuple(map(jnp.asarray, theta)),
-        tuple(map(jnp.asarray, columns)),
-        tuple(map(jnp.asarray, precision)),
+        jnp.asarray(np.array(theta)),
+        jnp.asarray(np.array(columns)),
+        jnp.asarray(np.array(precision)),
         jnp.asarray(weight),
         jnp.asarray(np.arange(round(duration / DT)) * DT),
         initial_state(vehicle.place(*causes), (0.0, 0.0, middle)),

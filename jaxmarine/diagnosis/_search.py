@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, scatter, step_with, t_value
+from ._score import Reduced, savings, scatter, solve, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
@@ -87,6 +87,24 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
         usable = information > 1e-6 * full + 1e-12
         ratios += (len(scores) * scatter(scores)[usable] / information[usable]).tolist()
     return max(1.0, float(np.median(ratios)))
+
+
+def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice, phi: float) -> float:
+    """Dispersion of the scores of one member, `where` its parameters lie in z; at least that of all, `phi`.
+
+    A disturbance that pushes one axis more than the others scatters the scores of what acts there.
+    """
+    known, precision, _ = bench.known(model)
+    mine = np.zeros(known.shape[1], bool)
+    mine[where] = True
+    own, rest = known[:, mine], known[:, ~mine]
+    h = stats.h.sum(0)
+    combined = own - rest @ solve(rest.T @ h @ rest + np.diag(precision[~mine]), rest.T @ h @ own)
+    information = np.diag(combined.T @ h @ combined)
+    scores = stats.g @ combined
+    usable = information > 1e-6 * np.diag(own.T @ h @ own) + 1e-12
+    ratios = len(scores) * scatter(scores)[usable] / information[usable]
+    return max(phi, float(ratios.mean())) if usable.any() else phi
 
 
 def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Member], dict[int, Member]]:
