@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+from jax.core import Tracer
 
 _OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT"}
 
@@ -29,12 +30,13 @@ def _options() -> dict[str, str] | None:
 
 def compiled(function: Function) -> Function:
     """`equinox.filter_jit` with these options, and as it is where it is part of another program."""
-    plain: Any = eqx.filter_jit(function)
-    tuned = functools.cache(lambda: eqx.filter_jit(function, compiler_options=_options()))
+    jit: Any = eqx.filter_jit
+    plain = jit(function)
+    tuned = functools.cache(lambda: jit(function, compiler_options=_options()))
 
     @functools.wraps(function)
     def call(*args, **kwargs):
-        inside = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((args, kwargs)))
+        inside = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs)))
         return plain(*args, **kwargs) if inside else tuned()(*args, **kwargs)
 
     return call  # pyright: ignore[reportReturnType]

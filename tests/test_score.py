@@ -137,7 +137,7 @@ def test_a_wave_is_met_again_at_another_phase():
     ]
     room = Room.of(data.records, data.windows)
     times, (right, turned, without), measured, begin = predicted(
-        candidates, log, noise, 4.0, 1, np.zeros(len(log.t), int), room
+        candidates, log, noise, 4.0, 1, np.zeros(len(log.t), int), room, 8
     )
 
     def ratio(before: np.ndarray, after: np.ndarray) -> float:

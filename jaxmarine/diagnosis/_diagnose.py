@@ -367,7 +367,7 @@ def _with_unknown(
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
-    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle))
+    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle), bench.samples)
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:

@@ -30,8 +30,8 @@ from ._saturated import SaturatedPlant, saturate
 DT = 0.1  # [s] between samples of the manoeuvre
 HOLD = 2.0  # [s] between corners of a command
 WINDOW = 4.0  # [s], as in a diagnosis: each window has an initial state of its own
-# Random manoeuvres that are moved into the box and improved, and steps for either.
-RANDOM, STEPS = 4, 60
+# Random manoeuvres that are moved into the box, of which the best is improved, and steps for either.
+RANDOM, STAY, IMPROVE = 4, 200, 60
 # Standard deviation of the corners of a random manoeuvre's commands.
 FIRST = 0.3
 # Share of the box that a manoeuvre is to keep to, and the price of leaving it.
@@ -228,10 +228,10 @@ def _telling(corners: Array, causes: _Causes) -> Array:
 
 
 @eqx.filter_jit
-def _improved(cost: Callable, causes: _Causes, corners: Array) -> Array:
+def _improved(cost: Callable, steps: int, causes: _Causes, corners: Array) -> Array:
     """Corners that cost less."""
     solver = optx.BFGS(rtol=1e-4, atol=1e-4)
-    return optx.minimise(cost, solver, corners, causes, max_steps=STEPS, throw=False).value
+    return optx.minimise(cost, solver, corners, causes, max_steps=steps, throw=False).value
 
 
 @eqx.filter_jit
@@ -262,22 +262,26 @@ def plan(
     problem = _causes(vehicle, causes, duration, Box() if box is None else box)
     shape = (max(2, round(duration / HOLD) + 1), len(vehicle.command_names))
     rng = np.random.default_rng(seed)
-    inside, better = [], []
+    random = []
     for number in range(RANDOM):
-        progress(f"manoeuvre {number + 1} of {RANDOM}: into the box")
-        drawn = _improved(_staying, problem, jnp.asarray(FIRST * rng.normal(size=shape)))
-        inside.append((drawn, *map(float, _judged(problem, drawn))))
-        progress(f"manoeuvre {number + 1} of {RANDOM}: telling the causes apart")
-        best = _improved(_telling, problem, drawn)
-        better.append((best, *map(float, _judged(problem, best))))
-    kept = [found for found in (*better, *inside) if np.isfinite(found[1]) and found[2] <= 1.0]
+        progress(f"moving random manoeuvre {number + 1} of {RANDOM} into the box")
+        drawn = _improved(_staying, STAY, problem, jnp.asarray(FIRST * rng.normal(size=shape)))
+        random.append((drawn, *map(float, _judged(problem, drawn))))
+    progress("improving the best of them")
+    best, *_ = max(random, key=lambda found: (found[2] <= 1.0, found[1]))
+    better = _improved(_telling, IMPROVE, problem, best)
+    random = [found for found in random if np.isfinite(found[1]) and found[2] <= 1.0]
+    kept = [
+        found
+        for found in ((better, *map(float, _judged(problem, better))), *random)
+        if np.isfinite(found[1]) and found[2] <= 1.0
+    ]
     if not kept:
         raise InputError(
             f"{vehicle.name}: no manoeuvre of {duration:g} s was found that stays in the box with each "
             "cause; widen the box or plan for a shorter time."
         )
     corners, apart, _ = max(kept, key=lambda found: found[1])
-    random = [found for found in inside if np.isfinite(found[1]) and found[2] <= 1.0]
     return Manoeuvre(
         _log(problem, corners, "plan"),
         0.5 * apart,

@@ -19,11 +19,15 @@ from ._signals import Places, Signals
 SIGMAS = 3.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
+# Share of what is left beyond the noise from which a dependence on measured velocities speaks for itself.
+MOST_OF = 0.5
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
 HARMONICS = 6
 BUMPS = 16
 MOST_BUMPS = 48
+# Half periods of a drift in the logs.
+SWINGS = 12
 # Pull to zero of a regressor's coefficient, relative to what the data say of it.
 RIDGE = 1e-3
 
@@ -77,10 +81,18 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
     return np.stack([x, x**2, x**3, np.abs(x) * x], axis=-1)
 
 
+def _swings(t: np.ndarray) -> np.ndarray:
+    """Swings of the time, from half a period in the logs to as many as left-out stretches leave visible."""
+    turns = np.pi * (t - t.min()) / max(float(np.ptp(t)), 1e-12)
+    angles = np.arange(1, SWINGS + 1) * turns[..., None]
+    return np.concatenate([np.sin(angles), np.cos(angles)], axis=-1)
+
+
 def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarray:
     """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
 
-    Commands also have their plays: a thrust may depend on where its command comes from.
+    Commands also have their plays: a thrust may depend on where its command comes from. With the time the
+    others have products of slow swings, since what drifts need not drift one way.
     """
     singles = [_single(name, places.signals[name]) for name in names]
     firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
@@ -88,6 +100,11 @@ def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarr
         (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
         for a, b in itertools.combinations(firsts, 2)
     ]
+    if "t" in names:
+        slow = _swings(places.signals["t"])
+        products += [
+            shapes[..., :1] * slow for name, shapes in zip(names, singles, strict=True) if name != "t"
+        ]
     played = [places.played[name] for name in names if name in places.played]
     return np.concatenate([*singles, *products, *played], axis=-1)
 
@@ -193,7 +210,11 @@ def _better(new: np.ndarray, old: np.ndarray) -> bool:
 
 
 def dependences(
-    k: Knots, phi: float, undisturbed: Signals | None = None, smallest: float = 0.02
+    k: Knots,
+    phi: float,
+    undisturbed: Signals | None = None,
+    samples: float = np.inf,
+    smallest: float = 0.02,
 ) -> tuple[Dependence, ...]:
     """Axes with a missing wrench that depends on signals, the strongest first.
 
@@ -201,7 +222,9 @@ def dependences(
       that another axis must have, since a strong missing force reaches others through the coupled mass.
     - `undisturbed`: velocities as the commands alone give them. A disturbance moves the craft, so the
       measured velocity goes with it without being its cause; these do not. They are the instruments of
-      an instrumental-variable regression (Young 2011): where they save nothing, nothing depends.
+      an instrumental-variable regression (Young 2011): where they save nothing, nothing depends. Unless
+      the measured ones save most of what noise of so many `samples` does not account for: no disturbance
+      is a function of the motion.
     """
     ledger = _Ledger(k)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
@@ -216,7 +239,9 @@ def dependences(
         if found and gain.sum() < smallest * found[0].saved:
             break
         left.remove(axis)
-        if t_value(gain) < SIGMAS or not _causal(ledger, axis, names, gain, undisturbed):
+        excess = k.stats.chi2.sum() - samples - sum(one.saved for one in found)
+        plain = np.isfinite(excess) and gain.sum() > MOST_OF * max(excess, 0.0)
+        if t_value(gain) < SIGMAS or not (plain or _causal(ledger, axis, names, gain, undisturbed)):
             continue
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
         shapes = (features(names, k.places, heads) for heads in (2, 4))

@@ -98,7 +98,7 @@ class Saturation(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "limit", 0.8, 0.5)
+        return _one(cls, craft, "limit", 0.8, 0.5, 0.3, 0.2)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, saturation=jnp.minimum(drive.saturation, self.limit))

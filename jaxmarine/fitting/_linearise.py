@@ -130,7 +130,7 @@ def _unflat(x: Array, lagged: Array) -> State:
     return State(x[:3], x[3:7], x[7:13], lagged)
 
 
-def wrapped(error: Float[Array, "*steps 18"]) -> Array:
+def wrapped(error: Float[Array | np.ndarray, "*steps 18"]) -> Array:
     """Differences of angles within (-pi, pi]."""
     return jnp.where(ANGLES, (error + jnp.pi) % (2 * jnp.pi) - jnp.pi, error)
 
