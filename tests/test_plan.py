@@ -28,11 +28,16 @@ def causes() -> tuple[Placed, Placed]:
     return delay, lag
 
 
+# Its programs compile for minutes.
+slow = pytest.mark.slow
+
+
 @functools.cache
 def planned() -> Manoeuvre:
     return plan(packaged("cybership2"), causes(), 24.0, BOX)
 
 
+@slow
 def test_the_evidence_is_what_a_refit_of_the_rival_leaves():
     """The plan refits by one linear step; the diagnosis' solver goes on until nothing is left to gain.
 
@@ -58,12 +63,14 @@ def test_the_evidence_is_what_a_refit_of_the_rival_leaves():
     assert left("thruster_lag") == pytest.approx(float(apart[0]), rel=0.15)
 
 
+@slow
 def test_it_beats_every_random_manoeuvre_in_the_same_box():
     found = planned()
     assert found.random
     assert found.evidence > 2.0 * max(found.random_evidence)
 
 
+@slow
 @pytest.mark.parametrize("which", [0, 1])
 def test_commands_and_states_stay_within_their_limits(which):
     craft, found = packaged("cybership2"), planned()

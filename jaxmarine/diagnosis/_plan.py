@@ -154,7 +154,7 @@ class _Causes(eqx.Module):
 
             def missed(x):
                 seen = self._windows(theta + columns @ x[:n], commands, starts, x[n:])
-                return (self.weight * wrapped(seen - own)).reshape(len(own), -1)
+                return (self.weight[None, None] * wrapped(seen - own)).reshape(len(own), -1)
 
             nothing = jnp.zeros(n + 12)
             off, slopes = missed(nothing), jax.jacfwd(missed)(nothing)
@@ -162,7 +162,7 @@ class _Causes(eqx.Module):
             g = jnp.einsum("wnp,wn->wp", slopes, off)
             # Each window's initial state is free; then the rival and, within their error, the coefficients.
             right = jnp.concatenate([h[:, n:, :n], g[:, n:, None]], axis=2)
-            solved = jnp.linalg.solve(h[:, n:, n:] + prior, right)
+            solved = jnp.linalg.solve(h[:, n:, n:] + prior[None], right)
             g_z = (g[:, :n] - jnp.einsum("wzx,wx->wz", h[:, :n, n:], solved[..., -1])).sum(0)
             h_z = (h[:, :n, :n] - jnp.einsum("wzx,wxy->wzy", h[:, :n, n:], solved[..., :-1])).sum(0)
             left = (off**2).sum() - (g[:, n:] * solved[..., -1]).sum()
@@ -185,7 +185,7 @@ class _Causes(eqx.Module):
         low, high = self.box.depth
         depth = (states.position[..., 2] - 0.5 * (low + high)) / (0.5 * (high - low))
         angles = jax.vmap(jax.vmap(to_euler))(states.attitude)
-        away = (states.position - self.start.position)[..., :2]
+        away = states.position[..., :2] - self.start.position[None, None, :2]
         return jnp.stack(
             [
                 depth**2 * self.plant_of.vehicle.free[2],
