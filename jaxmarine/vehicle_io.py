@@ -158,8 +158,7 @@ def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedT
 
 def _parameters(placed: Placed, vehicle: Vehicle) -> Mapping[str, float]:
     suspect = suspect_named(vehicle, placed.effect.name, placed.target, (type(placed.effect),))
-    flat = np.concatenate([np.ravel(v) for v in placed.effect.parameters().values()])
-    return {name: float(flat[slots[0]]) for name, slots in suspect.slots.items()}
+    return dict(zip(suspect.slots, suspect.values(placed.effect).tolist(), strict=True))
 
 
 def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:

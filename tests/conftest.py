@@ -1,5 +1,6 @@
 """What all tests share: double precision, strict shapes and fixed seeds."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -15,6 +16,17 @@ hypothesis.settings.register_profile("jaxmarine", derandomize=True, deadline=Non
 hypothesis.settings.load_profile("jaxmarine")
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten() -> Iterator[None]:
+    """Compiled programs are let go after each module.
+
+    Each holds some memory maps, of which Linux gives a process 65530: all tests in one process need more,
+    and it would die without a message.
+    """
+    yield
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="session")

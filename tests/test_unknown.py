@@ -170,6 +170,18 @@ def test_a_drift_over_several_logs_is_named_but_not_learned():
     assert learn(two, found, ()) == ()
 
 
+def test_thrusters_that_drift_together_are_named_together():
+    # As of a sagging battery: two propellers that turn against one another, and one that has no part in it.
+    rng = np.random.default_rng(12)
+    t = np.arange(WINDOWS * KNOTS, dtype=float).reshape(SHAPE)
+    commands = {name: 10.0 * drift(rng, 4.0) for name in ("port", "star", "bow")}
+    force = 0.3 * np.sin(2 * np.pi * t / 130.0) * (commands["port"] - commands["star"])
+    played = {name: _played(c.reshape(-1, 1), np.full((1, 4), 5.0))[:, 0] for name, c in commands.items()}
+    played = {name: behind.reshape(*SHAPE, 4) for name, behind in played.items()}
+    (found,) = dependences(knots_with(force, {"t": t, **commands}, rng, **played), 1.0)
+    assert set(found.signals) == {"t", "port", "star"}
+
+
 # --- what is learned of it ----------------------------------------------------------------------
 
 

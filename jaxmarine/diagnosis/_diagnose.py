@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from ._kinematics import contradiction
 from ._knots import knots, missing_wrench
 from ._learn import learn
 from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
+from ._progress import Progress, silent
 from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
 from ._search import MARGIN, STEPS, Found, Round, dispersion, needed, own_dispersion, penalty, search
@@ -47,12 +48,6 @@ DEAR, PLENTY = 10.0, 0.5
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
-Progress = Callable[[str], None]
-
-
-def _silent(text: str) -> None:
-    del text
-
 
 # Many small products of matrices: threads of the linear algebra would only wait for one another, on a
 # busy machine for several times the work.
@@ -63,7 +58,7 @@ def diagnose(
     test: Log,
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
     window: float | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Shows what a vehicle gets wrong on its logs, names the cause, extends it and measures the gain.
 
@@ -282,17 +277,16 @@ def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workb
 
 def _pruned(bench: Workbench, model: Model) -> Model:
     """The model without members that are not needed beside the others, or mean nothing beside them."""
-    i = 0
-    while i < len(model.members):
-        stats = bench.screen(model)
-        phi = dispersion(bench, model, stats)
+    if not model.members:
+        return model
+    stats = bench.screen(model)
+    phi = dispersion(bench, model, stats)
+    for i, where in enumerate(bench.slices(model.members)):
         less = bench.refine(bench.without_member(model, i))
-        own = own_dispersion(bench, model, stats, bench.slices(model.members)[i], phi)
+        own = own_dispersion(bench, model, stats, where, phi)
         idle = 2 * (less.cost - model.cost) < needed(bench, model.members[i], own)
         if idle or (bench.sound(less) and not bench.sound(model)):
-            model, i = less, 0
-        else:
-            i += 1
+            return _pruned(bench, less)
     return model
 
 
@@ -474,8 +468,7 @@ def gain_of(
     model = bench.start()
     for cause in causes:
         i = labels.index((cause.effect.name, cause.target))
-        flat = np.concatenate([np.ravel(value) for value in cause.effect.parameters().values()])
-        value = flat[[slots[0] for slots in bench.layout.suspects[i].slots.values()]]
+        value = bench.layout.suspects[i].values(cause.effect)
         since = None
         if cause.since is not None:
             which = next((k for k, log in enumerate(logs) if log.name == cause.since_log), 0)

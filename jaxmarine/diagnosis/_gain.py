@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from .._compiled import compiled
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
 from ..fitting import (
@@ -73,11 +72,6 @@ class Candidate:
         return dataclasses.replace(self, vehicle=vehicle, theta=theta)
 
 
-@compiled
-def _predicted(problem, theta, delta):
-    return predict(problem, theta, delta)[0]
-
-
 def predictions(
     candidates: Sequence[Candidate],
     log: Log,
@@ -121,7 +115,7 @@ def predictions(
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
         problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
-        return np.asarray(_predicted(problem, theta, started.delta))[: data.windows.count]
+        return np.asarray(predict(problem, theta, started.delta)[0])[: data.windows.count]
 
     turns = 2 * np.pi * np.arange(PHASES) / PHASES
     out = [

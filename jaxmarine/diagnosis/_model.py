@@ -330,7 +330,7 @@ class Workbench:
         NaN where a channel was not measured.
         """
         problem = self.problem(model.members)
-        residual = np.asarray(_residuals(problem, jnp.asarray(self.theta(model)), model.delta))
+        residual = np.asarray(predict(problem, jnp.asarray(self.theta(model)), model.delta)[1])
         missing = np.asarray(problem.windows.weight) == 0
         squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
         return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
@@ -465,11 +465,6 @@ def _same(a: Log, b: Log) -> bool:
     return a.channels.shape == b.channels.shape and bool(
         np.array_equal(a.channels, b.channels, equal_nan=True)
     )
-
-
-@compiled
-def _residuals(problem, theta, delta):
-    return predict(problem, theta, delta)[1]
 
 
 @compiled

@@ -25,6 +25,7 @@ from ..physics import compose, small_turn, step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
 from ._model import base_coefficients
+from ._progress import Progress, silent
 from ._saturated import SaturatedPlant, saturate
 
 DT = 0.1  # [s] between samples of the manoeuvre
@@ -38,12 +39,6 @@ FIRST = 0.3
 INSIDE, WALL = 0.8, 1e3
 # Precision of a rival's parameters: a trace, for what the manoeuvre does not determine.
 TRACE = 1e-8
-
-Progress = Callable[[str], None]
-
-
-def _silent(text: str) -> None:
-    del text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,10 +230,24 @@ def _improved(cost: Callable, steps: int, causes: _Causes, corners: Array) -> Ar
 
 
 @eqx.filter_jit
-def _judged(causes: _Causes, corners: Array) -> tuple[Array, Array]:
+def _extremes(causes: _Causes, corners: Array) -> tuple[Array, Array]:
     """The least separation, and the largest squared size."""
     apart, sizes = _judge(corners, causes)
     return apart.min(), sizes.max()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Flown:
+    """A manoeuvre, by how much it tells the causes apart, and whether all of them stay in the box."""
+
+    corners: Array
+    apart: float
+    safe: bool
+
+    @classmethod
+    def of(cls, causes: _Causes, corners: Array) -> "_Flown":
+        apart, size = map(float, _extremes(causes, corners))
+        return cls(corners, apart, np.isfinite(apart) and size <= 1.0)
 
 
 def plan(
@@ -247,7 +256,7 @@ def plan(
     duration: float = 60.0,
     box: Box | None = None,
     seed: int = 0,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Manoeuvre:
     """The commands over `duration` [s] that tell causes apart best, by the sensors that the file states.
 
@@ -266,27 +275,23 @@ def plan(
     for number in range(RANDOM):
         progress(f"moving random manoeuvre {number + 1} of {RANDOM} into the box")
         drawn = _improved(_staying, STAY, problem, jnp.asarray(FIRST * rng.normal(size=shape)))
-        random.append((drawn, *map(float, _judged(problem, drawn))))
+        random.append(_Flown.of(problem, drawn))
     progress("improving the best of them")
-    best, *_ = max(random, key=lambda found: (found[2] <= 1.0, found[1]))
-    better = _improved(_telling, IMPROVE, problem, best)
-    random = [found for found in random if np.isfinite(found[1]) and found[2] <= 1.0]
-    kept = [
-        found
-        for found in ((better, *map(float, _judged(problem, better))), *random)
-        if np.isfinite(found[1]) and found[2] <= 1.0
-    ]
+    best = max(random, key=lambda one: (one.safe, one.apart))
+    better = _Flown.of(problem, _improved(_telling, IMPROVE, problem, best.corners))
+    random = [one for one in random if one.safe]
+    kept = [better, *random] if better.safe else random
     if not kept:
         raise InputError(
             f"{vehicle.name}: no manoeuvre of {duration:g} s was found that stays in the box with each "
             "cause; widen the box or plan for a shorter time."
         )
-    corners, apart, _ = max(kept, key=lambda found: found[1])
+    chosen = max(kept, key=lambda one: one.apart)
     return Manoeuvre(
-        _log(problem, corners, "plan"),
-        0.5 * apart,
-        tuple(_log(problem, found[0], "random") for found in random),
-        tuple(0.5 * found[1] for found in random),
+        _log(problem, chosen.corners, "plan"),
+        0.5 * chosen.apart,
+        tuple(_log(problem, one.corners, "random") for one in random),
+        tuple(0.5 * one.apart for one in random),
     )
 
 
@@ -323,8 +328,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
     theta, columns, precision = [], [], []
     for cause in causes:
         i = labels.index((type(cause.effect), cause.target))
-        flat = np.concatenate([np.ravel(value) for value in cause.effect.parameters().values()])
-        value = flat[[slots[0] for slots in layout.suspects[i].slots.values()]]
+        value = layout.suspects[i].values(cause.effect)
         theta.append(layout.neutral + layout.columns[i] @ (value - layout.neutral_of(i)))
         others = [c for c in base if c.label != layout.suspects[i].label]
         bent = np.zeros((layout.size, len(others)))

@@ -8,7 +8,8 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, scatter, solve, step_with, t_value
+from ._progress import Progress
+from ._score import Reduced, savings, scatter, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save.
 SHORTLIST = 8
@@ -75,18 +76,19 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     projected out; 1 for white noise, more under disturbances and coloured noise.
     """
     known, precision, _ = bench.known(model)
+    owns = np.concatenate([bench.own(i) for i in range(len(bench.layout.suspects))], axis=1)
+    return max(1.0, float(np.median(_dispersions(stats, owns, known, precision))))
+
+
+def _dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Variance of summed scores over information, of each own column that says more than the known ones."""
     h = stats.h.sum(0)
-    ratios = []
-    for i in range(len(bench.layout.suspects)):
-        own = bench.own(i)
-        x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
-        combined = own - known @ x
-        scores = stats.g @ combined
-        information = np.einsum("ij,wik,kj->j", combined, stats.h, combined, optimize=True)
-        full = np.einsum("ij,wik,kj->j", own, stats.h, own, optimize=True)
-        usable = information > 1e-6 * full + 1e-12
-        ratios += (len(scores) * scatter(scores)[usable] / information[usable]).tolist()
-    return max(1.0, float(np.median(ratios)))
+    x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
+    combined = own - known @ x
+    scores = stats.g @ combined
+    information, full = (np.einsum("ij,ik,kj->j", a, h, a, optimize=True) for a in (combined, own))
+    usable = information > 1e-6 * full + 1e-12
+    return len(scores) * scatter(scores)[usable] / information[usable]
 
 
 def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice, phi: float) -> float:
@@ -97,14 +99,8 @@ def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice,
     known, precision, _ = bench.known(model)
     mine = np.zeros(known.shape[1], bool)
     mine[where] = True
-    own, rest = known[:, mine], known[:, ~mine]
-    h = stats.h.sum(0)
-    combined = own - rest @ solve(rest.T @ h @ rest + np.diag(precision[~mine]), rest.T @ h @ own)
-    information = np.diag(combined.T @ h @ combined)
-    scores = stats.g @ combined
-    usable = information > 1e-6 * np.diag(own.T @ h @ own) + 1e-12
-    ratios = len(scores) * scatter(scores)[usable] / information[usable]
-    return max(phi, float(ratios.mean())) if usable.any() else phi
+    ratios = _dispersions(stats, known[:, mine], known[:, ~mine], precision[~mine])
+    return max(phi, float(ratios.mean())) if len(ratios) else phi
 
 
 def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Member], dict[int, Member]]:
@@ -225,8 +221,8 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 def search(
     bench: Workbench,
     model: Model,
-    progress: Callable[[str], None] = lambda text: None,
-    hopeless: Callable[[Model], bool] = lambda model: False,
+    progress: Progress,
+    hopeless: Callable[[Model], bool],
 ) -> Found:
     """Adds suspects to a refined model one after another until nothing is worth adding.
 

@@ -38,6 +38,11 @@ class Places:
     signals: Signals
     played: dict[str, Float[np.ndarray, "windows knots plays"]]
 
+    @property
+    def commanded(self) -> tuple[str, ...]:
+        """Thrusters whose command changes."""
+        return tuple(name for name in self.played if name in self.signals)
+
     def through_water(self, water: Float[np.ndarray, "3"], signals: Signals) -> Signals:
         """Signals with velocities over ground made relative to water that moves (north, east, down) [m/s]."""
         flow = np.einsum("wkij,i->wkj", self.rotation, water)

@@ -6,6 +6,7 @@ dependence is worth is the chi-square that it saves on windows that were left ou
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -92,7 +93,8 @@ def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarr
     """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
 
     Commands also have their plays: a thrust may depend on where its command comes from. With the time the
-    others have products of slow swings, since what drifts need not drift one way.
+    others have products of slow swings, since what drifts need not drift one way; beside the swings of
+    several signals no other products.
     """
     singles = [_single(name, places.signals[name]) for name in names]
     firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
@@ -100,13 +102,14 @@ def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarr
         (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
         for a, b in itertools.combinations(firsts, 2)
     ]
-    if "t" in names:
-        slow = _swings(places.signals["t"])
-        products += [
-            shapes[..., :1] * slow for name, shapes in zip(names, singles, strict=True) if name != "t"
-        ]
     played = [places.played[name] for name in names if name in places.played]
-    return np.concatenate([*singles, *products, *played], axis=-1)
+    if "t" not in names:
+        return np.concatenate([*singles, *products, *played], axis=-1)
+    swings = _swings(places.signals["t"])
+    slow = [shapes[..., :1] * swings for name, shapes in zip(names, singles, strict=True) if name != "t"]
+    # Swings of several signals are many regressors: the rest would be more than a log can tell.
+    rest = [*products, *played] if len(names) < 3 else []
+    return np.concatenate([*singles, *slow, *rest], axis=-1)
 
 
 def _left_out(
@@ -192,6 +195,10 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         names = max(results, key=lambda n: results[n].sum(), default=chosen)
         if names != chosen and _better(results[names], gain):
             chosen, gain = names, results[names]
+    if len(places.commanded) > 1:
+        drift = _drift(places.commanded, saved)
+        if _better(saved(drift), gain):
+            chosen, gain = drift, saved(drift)
     tied = []
     for name in order:
         if name in chosen:
@@ -203,6 +210,21 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
                 tied.append(name)
                 break
     return chosen, gain, tuple(tied)
+
+
+def _drift(commands: tuple[str, ...], saved: Callable[[tuple[str, ...]], np.ndarray]) -> tuple[str, ...]:
+    """The time with the commands whose thrust drifts, if all of them may, without those that need not.
+
+    A drift of all thrusters shows on none alone: what each misses hides what the others would save.
+    """
+    names = ("t", *commands)
+    while len(names) > 2 and saved(names).sum() > 0:
+        fewer = [tuple(other for other in names if other != name) for name in names[1:]]
+        best = max(fewer, key=lambda less: saved(less).sum())
+        if _better(saved(names), saved(best)):
+            break
+        names = best
+    return names
 
 
 def _better(new: np.ndarray, old: np.ndarray) -> bool:

@@ -51,6 +51,11 @@ class Suspect:
     def label(self) -> str:
         return self.effect.name if self.target is None else f"{self.effect.name}:{self.target}"
 
+    def values(self, effect: "AbstractEffect") -> Float[np.ndarray, " slots"]:
+        """What it would have to find: its parameters in an effect, in the order of its slots."""
+        flat = np.concatenate([np.ravel(value) for value in effect.parameters().values()])
+        return flat[[places[0] for places in self.slots.values()]]
+
 
 class AbstractEffect(eqx.Module):
     """One cause; see the module's text. All fields are arrays of parameters."""

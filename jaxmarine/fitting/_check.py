@@ -24,7 +24,7 @@ from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._fit import noise_of
 from ._free import set_free
-from ._linearise import Problem, predict
+from ._linearise import predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
@@ -241,11 +241,6 @@ def evaluated(
     )
 
 
-@eqx.filter_jit
-def _residuals(problem: Problem, theta, delta):
-    return predict(problem, theta, delta)[1]
-
-
 def _at_residual(task: Task, refined: Refined, channels: np.ndarray) -> Task:
     """The task with the noise of some channels raised to the residual.
 
@@ -253,7 +248,7 @@ def _at_residual(task: Task, refined: Refined, channels: np.ndarray) -> Task:
     """
     windows = task.problem.windows
     weight = np.asarray(windows.weight)
-    residual = np.asarray(_residuals(task.problem, task.affine.theta, refined.delta))
+    residual = np.asarray(predict(task.problem, task.affine.theta, refined.delta)[1])
     missing = weight == 0
     squares = np.ma.masked_array(residual, missing) ** 2
     missed = np.sqrt(np.ma.median(squares.mean(axis=1), axis=0)).filled(1.0)

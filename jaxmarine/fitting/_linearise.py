@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._compiled import compiled
 from ..physics import Drive, Slide, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
@@ -277,6 +278,7 @@ def _roll(problem: Problem, plants: Plant, track: _Track, start: State, follow: 
     return jax.lax.scan(step, start, track)[1]
 
 
+@compiled
 def predict(problem: Problem, theta, delta):
     """Predicted channels of every window [windows, steps, 18] and the residuals, weighted."""
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))

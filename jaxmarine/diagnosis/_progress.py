@@ -1,0 +1,10 @@
+"""How long work says what it does: a function that is called with a few words at each stage."""
+
+from collections.abc import Callable
+
+Progress = Callable[[str], None]
+
+
+def silent(text: str) -> None:
+    """Says nothing."""
+    del text
