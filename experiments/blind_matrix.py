@@ -300,7 +300,9 @@ def main(
         ships, blocks = ("cybership2",), 1
         content = {"nulls": 1, "singles": 1, "pairs": 0, "outside": 1, "misfit": 0}
     spawn = multiprocessing.get_context("spawn")
-    with Progress(transient=True) as bar, ProcessPoolExecutor(jobs, mp_context=spawn) as pool:
+    # A process ends after each of its tasks: compiled programs of hundreds of logs would be too many maps.
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, max_tasks_per_child=1)
+    with Progress(transient=True) as bar, pool:
         drawing = bar.add_task("drawing logs", total=blocks)
         drawn = [pool.submit(written, folder, block, seed, ships, content) for block in range(blocks)]
         for future in as_completed(drawn):

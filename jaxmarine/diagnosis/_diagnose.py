@@ -26,7 +26,19 @@ from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._progress import Progress, silent
 from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
-from ._search import MARGIN, STEPS, Found, Round, dispersion, needed, own_dispersion, penalty, search
+from ._search import (
+    FEW_STEPS,
+    MARGIN,
+    ROUGH,
+    STEPS,
+    Found,
+    Round,
+    dispersion,
+    needed,
+    own_dispersion,
+    penalty,
+    search,
+)
 from ._signals import Signals
 from ._unknown import Dependence, cost_of_removal, dependences, explained
 
@@ -45,6 +57,9 @@ STAND_IN, ALONE, WITH_UNKNOWN, CROWD = 0.35, 0.6, 0.7, 0.8
 # Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left;
 # and what is left per sample, beyond the noise, from which it is asked whether names are of any use.
 DEAR, PLENTY = 10.0, 0.5
+# A member is kept without more than a few steps of a refit where those promise that its removal costs this
+# many times what it must save.
+OBVIOUS = 10.0
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
@@ -282,9 +297,12 @@ def _pruned(bench: Workbench, model: Model) -> Model:
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
     for i, where in enumerate(bench.slices(model.members)):
-        less = bench.refine(bench.without_member(model, i))
-        own = own_dispersion(bench, model, stats, where, phi)
-        idle = 2 * (less.cost - model.cost) < needed(bench, model.members[i], own)
+        least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
+        less = bench.refine(bench.without_member(model, i), FEW_STEPS, ROUGH)
+        if bench.sound(model) and 2 * (less.promised - model.cost) > OBVIOUS * least:
+            continue
+        less = bench.refine(less)
+        idle = 2 * (less.cost - model.cost) < least
         if idle or (bench.sound(less) and not bench.sound(model)):
             return _pruned(bench, less)
     return model

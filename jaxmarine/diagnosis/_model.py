@@ -45,6 +45,9 @@ BEGUN = 6
 SEGMENTS = 4
 # Damping with which a refinement begins, at most: as the one before ended, which knows how far a step holds.
 MOST_DAMPING = 0.1
+# A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
+# some ten thousand samples has left, so that no parameter is a quarter of its standard error away.
+EXACT = 1e-6
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
@@ -285,7 +288,7 @@ class Workbench:
     def start(self) -> Model:
         return Model((), np.zeros(len(self.base)), jnp.zeros((self.room.windows, 12)), np.inf)
 
-    def refine(self, model: Model, max_steps: int = 25, rtol: float = 1e-7) -> Model:
+    def refine(self, model: Model, max_steps: int = 25, rtol: float = EXACT) -> Model:
         """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square.
 
         Where the vehicle runs away from the start, it begins at the file's values.

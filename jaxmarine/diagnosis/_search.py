@@ -19,7 +19,7 @@ WITH_BEGINNING = 3
 CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
 # of what the best saves. They end where a step promises less than this share of the chi-square.
-FEW_STEPS, STEPS, HOPEFUL, ROUGH = 5, 12, 0.5, 1e-4
+FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
 MORE, AFRESH = 5, 2
 # Share of the best saving that makes a suspect a candidate where the best fails.

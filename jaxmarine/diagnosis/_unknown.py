@@ -5,6 +5,7 @@ dependence is worth is the chi-square that it saves on windows that were left ou
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable
 
@@ -89,27 +90,38 @@ def _swings(t: np.ndarray) -> np.ndarray:
     return np.concatenate([np.sin(angles), np.cos(angles)], axis=-1)
 
 
-def features(names: tuple[str, ...], places: Places, heads: int = 2) -> np.ndarray:
-    """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
+@dataclasses.dataclass(frozen=True)
+class _Shapes:
+    """Regressors made of the signals at the knots."""
 
-    Commands also have their plays: a thrust may depend on where its command comes from. With the time the
-    others have products of slow swings, since what drifts need not drift one way; beside the swings of
-    several signals no other products.
-    """
-    singles = [_single(name, places.signals[name]) for name in names]
-    firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
-    products = [
-        (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
-        for a, b in itertools.combinations(firsts, 2)
-    ]
-    played = [places.played[name] for name in names if name in places.played]
-    if "t" not in names:
-        return np.concatenate([*singles, *products, *played], axis=-1)
-    swings = _swings(places.signals["t"])
-    slow = [shapes[..., :1] * swings for name, shapes in zip(names, singles, strict=True) if name != "t"]
-    # Swings of several signals are many regressors: the rest would be more than a log can tell.
-    rest = [*products, *played] if len(names) < 3 else []
-    return np.concatenate([*singles, *slow, *rest], axis=-1)
+    places: Places
+
+    @functools.cached_property
+    def singles(self) -> dict[str, np.ndarray]:
+        return {name: _single(name, values) for name, values in self.places.signals.items()}
+
+    def of(self, names: tuple[str, ...], heads: int = 2) -> Float[np.ndarray, "windows knots features"]:
+        """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
+
+        Commands also have their plays: a thrust may depend on where its command comes from. With the time
+        the others have products of slow swings, since what drifts need not drift one way; beside the
+        swings of several signals no other products.
+        """
+        singles = [self.singles[name] for name in names]
+        firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
+        products = [
+            (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
+            for a, b in itertools.combinations(firsts, 2)
+        ]
+        played = [self.places.played[name] for name in names if name in self.places.played]
+        if "t" not in names:
+            return np.concatenate([*singles, *products, *played], axis=-1)
+        swings = _swings(self.places.signals["t"])
+        moving = [shapes for name, shapes in zip(names, singles, strict=True) if name != "t"]
+        slow = [shapes[..., :1] * swings for shapes in moving]
+        # Swings of several signals are many regressors: the rest would be more than a log can tell.
+        rest = [*products, *played] if len(names) < 3 else []
+        return np.concatenate([*singles, *slow, *rest], axis=-1)
 
 
 def _left_out(
@@ -118,20 +130,21 @@ def _left_out(
     values: Float[np.ndarray, "windows knots features"],
 ) -> Float[np.ndarray, "windows knots"]:
     """The response in each window by a ridge regression on the others, neighbours left out as well."""
-    total = weight.sum()
-    centre = np.einsum("wk,wkf->f", weight, values) / total
-    spread = np.sqrt(np.einsum("wk,wkf->f", weight, (values - centre) ** 2) / total)
-    x = np.concatenate([(values - centre) / np.maximum(spread, 1e-9), np.ones((*y.shape, 1))], axis=-1)
-    weighted = x * weight[..., None]
-    grams = np.einsum("wkf,wkg->wfg", weighted, x, optimize=True)
-    sums = np.einsum("wkf,wk->wf", weighted, y)
-    pull = RIDGE * total * np.diag([*np.ones(x.shape[-1] - 1), 0.0])
+    total, count = weight.sum(), values.shape[-1]
+    flat = values.reshape(y.size, count)
+    centre = weight.ravel() @ flat / total
+    spread = np.sqrt(weight.ravel() @ (flat - centre) ** 2 / total)
+    x = np.ones((*y.shape, count + 1))
+    x[..., :-1] = (values - centre) / np.maximum(spread, 1e-9)
+    pull = RIDGE * total * np.diag([*np.ones(count), 0.0])
     fold = blocks(len(y))
     out = np.zeros_like(y)
     for b in np.unique(fold):
         left = fold == b
         rest = np.convolve(left, [1, 1, 1], "same") == 0
-        out[left] = x[left] @ np.linalg.solve(grams[rest].sum(0) + pull, sums[rest].sum(0))
+        seen = x[rest].reshape(-1, count + 1)
+        weighted = (seen * weight[rest].reshape(-1, 1)).T
+        out[left] = x[left] @ np.linalg.solve(weighted @ seen + pull, weighted @ y[rest].ravel())
     return out
 
 
@@ -140,6 +153,7 @@ class _Ledger:
 
     def __init__(self, k: Knots):
         self.k = k
+        self.shapes = _Shapes(k.places)
         shape = (*k.places.t.shape, 6)
         missing = missing_wrench(k)
         self.y = np.nan_to_num(missing.wrench.reshape(shape))
@@ -154,8 +168,8 @@ class _Ledger:
     def chi2(self, axis: int, wrench: np.ndarray) -> Float[np.ndarray, " windows"]:
         """Change of each window's chi-square by a wrench on an axis and those found already."""
         push = (self.known + on_axis(axis, wrench[..., None])[..., 0]).reshape(len(wrench), -1)
-        bend = np.einsum("wa,wab,wb->w", push, self.h, push, optimize=True)
-        return 2 * np.einsum("wa,wa->w", self.g, push) + bend
+        bent = (self.h @ push[..., None])[..., 0]
+        return ((2 * self.g + bent) * push).sum(axis=1)
 
     def wrench(self, axis: int, values: np.ndarray) -> Float[np.ndarray, "windows knots"]:
         return _left_out(self.y[..., axis], self.weight[..., axis], values)
@@ -178,7 +192,7 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
     places = ledger.k.places
 
     def saved(names: tuple[str, ...]) -> np.ndarray:
-        return ledger.saved(axis, features(names, places))
+        return ledger.saved(axis, ledger.shapes.of(names))
 
     singles = {name: saved((name,)) for name in places.signals}
     order = sorted(singles, key=lambda name: -singles[name].sum())
@@ -266,9 +280,10 @@ def dependences(
         if t_value(gain) < SIGMAS or not (plain or _causal(ledger, axis, names, gain, undisturbed)):
             continue
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
-        shapes = (features(names, k.places, heads) for heads in (2, 4))
+        shapes = (ledger.shapes.of(names, heads) for heads in (2, 4))
         values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
-        now = ledger.saved(axis, features(names, dataclasses.replace(k.places, played={})))
+        forgetful = _Shapes(dataclasses.replace(k.places, played={}))
+        now = ledger.saved(axis, forgetful.of(names))
         remembers = bool(now.sum() < 0.5 * gain.sum())
         found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
         ledger.add(axis, ledger.wrench(axis, values))
@@ -283,7 +298,7 @@ def _causal(
         return True
     places = ledger.k.places
     moved = dataclasses.replace(places, signals=places.signals | undisturbed)
-    saved = ledger.saved(axis, features(names, moved))
+    saved = ledger.saved(axis, _Shapes(moved).of(names))
     return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 

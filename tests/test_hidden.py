@@ -1,0 +1,109 @@
+"""Effects hidden in logs that are made here from recorded seeds; the diagnosis has to give the answer.
+
+The logs come from `experiments/blind`, which shares no code with the package: an effect whose equation is
+wrong here cannot explain them. The full run of `experiments/blind_matrix.py` draws others.
+"""
+
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from experiments.blind import cases, catalogue, grading, outside
+from experiments.blind.plant import Effect
+from experiments.blind.vehicle import load
+
+# As long as those of other tests, so that a vehicle's programs are compiled once.
+TRAIN, TEST = 120.0, 60.0
+# Factor by which what is hidden raises the error of predictions over 5 s.
+SEVERITY = 3.0
+BOAT, ROV = "cybership2", "tethra"
+
+# One seed of every effect of the catalogue. On a boat that is fast, and therefore always run:
+ALWAYS = {"velocity_in_earth_axes": 1, "thruster_lag": 2, "hull_lift": 3}
+# Of the others some can be seen on a craft that moves in all six axes only.
+SINGLE = {name: 4 + i for i, name in enumerate(sorted(catalogue.names(load(BOAT)))) if name not in ALWAYS}
+IN_SIX_AXES = {
+    name: 40 + i for i, name in enumerate(sorted({*catalogue.names(load(ROV))} - {*ALWAYS, *SINGLE}))
+}
+PAIRS = {("steady_current", "thruster_gain"): 60, ("input_delay", "velocity_scale"): 61}
+BEGUN = {"constant_wrench": 62, "gyro_bias": 63}
+OUTSIDE = {"heading_force": 64, "stick_slip": 65, "drifting_gain": 66}
+NOTHING = (67, 68)
+
+
+def answered(ship: str, hidden: list, seed: int) -> tuple[dict, dict]:
+    """What is hidden in a log of this seed, and the diagnosis of it, both as files state them."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        answer = cases.make_case(folder, ship, hidden, seed, duration_train=TRAIN, duration_test=TEST)
+        craft = jm.load_vehicle(folder / "vehicle.toml")
+        train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
+    return answer, jm.diagnose(craft, train, test).to_json()
+
+
+def drawn(ship: str, name: str, seed: int, severity: float = SEVERITY) -> Effect:
+    """An effect of this name, of random size, sign and target, acting always."""
+    rng = np.random.default_rng(seed)
+    vehicle = load(ship)
+    scales = cases.typical(vehicle, "rich")
+    while True:
+        found = cases.sized(vehicle, catalogue.draw(name, vehicle, scales, rng), severity, "rich")
+        if isinstance(found, Effect):
+            return found
+
+
+def whole(answer: dict, diagnosis: dict) -> bool:
+    return grading.grade(answer, diagnosis)["whole"]
+
+
+SINGLES = [
+    *(pytest.param(BOAT, name, seed, id=name) for name, seed in ALWAYS.items()),
+    *(pytest.param(BOAT, name, seed, id=name, marks=pytest.mark.slow) for name, seed in SINGLE.items()),
+    *(pytest.param(ROV, name, seed, id=name, marks=pytest.mark.slow) for name, seed in IN_SIX_AXES.items()),
+]
+
+
+def test_every_effect_of_the_catalogue_is_hidden_in_some_log():
+    assert {*ALWAYS, *SINGLE, *IN_SIX_AXES} == {effect.name for effect in jm.effects.CATALOGUE}
+
+
+@pytest.mark.parametrize(("ship", "name", "seed"), SINGLES)
+def test_one_effect_is_named_and_nothing_else(ship, name, seed):
+    answer, diagnosis = answered(ship, [drawn(ship, name, seed)], seed)
+    assert whole(answer, diagnosis), (answer, diagnosis["findings"])
+
+
+@pytest.mark.parametrize(("names", "seed"), PAIRS.items(), ids=["+".join(names) for names in PAIRS])
+def test_two_effects_are_both_named(names, seed):
+    answer, diagnosis = answered(BOAT, [drawn(BOAT, name, seed) for name in names], seed)
+    assert whole(answer, diagnosis), (answer, diagnosis["findings"])
+
+
+@pytest.mark.parametrize(("name", "seed"), BEGUN.items())
+def test_an_effect_that_begins_is_named_with_its_beginning(name, seed):
+    begun = dataclasses.replace(drawn(BOAT, name, seed), since=70.0)
+    answer, diagnosis = answered(BOAT, [begun], seed)
+    assert whole(answer, diagnosis), (answer, diagnosis["findings"])
+    assert grading.timely(answer, diagnosis)
+
+
+@pytest.mark.parametrize(("name", "seed"), OUTSIDE.items())
+def test_what_the_catalogue_lacks_is_unknown_with_a_signal_that_it_depends_on(name, seed):
+    vehicle = load(BOAT)
+    rng = np.random.default_rng(seed)
+    hidden = None
+    while hidden is None:
+        draw = outside.draw(name, vehicle, cases.typical(vehicle, "rich"), rng)
+        hidden = cases.sized(vehicle, draw, SEVERITY, "rich")
+    answer, diagnosis = answered(BOAT, [hidden], seed)
+    assert whole(answer, diagnosis), (answer, diagnosis["findings"], diagnosis["residual_after"])
+
+
+@pytest.mark.parametrize("seed", NOTHING)
+def test_nothing_is_found_where_nothing_is_hidden(seed):
+    answer, diagnosis = answered(BOAT, [], seed)
+    assert whole(answer, diagnosis), diagnosis["findings"]
