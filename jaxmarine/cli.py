@@ -150,6 +150,15 @@ def _write(result, out: Path) -> None:
         _out.print(f"  {finding.label}{since}" + (f": {values}" if values else ""), markup=False)
     if result.depends_on:
         _out.print(f"  what is left depends on {', '.join(result.depends_on)}", markup=False)
+    for group in result.groups:
+        causes = " ".join(f'--cause "{words}"' for words in result.causes_of(group))
+        _out.print(
+            f"These logs cannot tell {' from '.join(group)}; for a manoeuvre that would, run\n"
+            f"  jaxmarine plan --vehicle VEHICLE {causes}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
     low, high = result.gain.ratio_ci95
     _out.print(
         f"5 s prediction error on {result.test}: {result.gain.ratio:.3f} of what it was "

@@ -20,6 +20,7 @@ from experiments.blind.plant import Effect
 from jaxmarine.diagnosis._answer import alternatives
 from jaxmarine.diagnosis._model import Member, Model, Workbench
 from jaxmarine.diagnosis._search import Round, Trial
+from jaxmarine.vehicle_io import cause_named
 
 # All logs are equally long, so that a vehicle's programs are compiled once.
 TRAIN, TEST = 120.0, 60.0
@@ -139,6 +140,17 @@ def test_alternatives_are_those_of_the_round_that_was_won():
     (other,) = alternatives(bench, b, {0, 1}, 1.0, rounds, 1200.0)
     assert (other.effect, other.indistinguishable) == ("c", True)
     assert other.log_evidence == pytest.approx(1199.5)
+
+
+def test_the_causes_of_a_group_can_be_given_to_a_plan():
+    _, diagnosis, _ = diagnosed("weak thruster")
+    (finding,), rival = diagnosis.findings, diagnosis.rounds[0][1]
+    own, other = (
+        cause_named(diagnosis.vehicle, words) for words in diagnosis.causes_of((finding.label, rival.label))
+    )
+    factor = own.effect.parameters()["factor"][diagnosis.vehicle.thruster_names.index("port_h")]
+    assert float(factor) == pytest.approx(finding.parameters["factor"].value, rel=1e-3)
+    assert other.effect.name == rival.label.partition(":")[0]
 
 
 def test_the_answer_is_strict_json_with_the_contracts_keys(tmp_path):

@@ -13,8 +13,9 @@ import pytest
 
 import jaxmarine as jm
 from experiments.blind import cases, catalogue, grading, outside
-from experiments.blind.plant import Effect
+from experiments.blind.plant import Effect, Outside
 from experiments.blind.vehicle import load
+from jaxmarine.diagnosis._learn import learn
 
 # As long as those of other tests, so that a vehicle's programs are compiled once.
 TRAIN, TEST = 120.0, 60.0
@@ -37,12 +38,17 @@ NOTHING = (67, 68)
 
 def answered(ship: str, hidden: list, seed: int) -> tuple[dict, dict]:
     """What is hidden in a log of this seed, and the diagnosis of it, both as files state them."""
+    answer, diagnosis = diagnosed(ship, hidden, seed)
+    return answer, diagnosis.to_json()
+
+
+def diagnosed(ship: str, hidden: list, seed: int) -> tuple[dict, jm.Diagnosis]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         answer = cases.make_case(folder, ship, hidden, seed, duration_train=TRAIN, duration_test=TEST)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
-    return answer, jm.diagnose(craft, train, test).to_json()
+    return answer, jm.diagnose(craft, train, test)
 
 
 def drawn(ship: str, name: str, seed: int, severity: float = SEVERITY) -> Effect:
@@ -91,16 +97,34 @@ def test_an_effect_that_begins_is_named_with_its_beginning(name, seed):
     assert grading.timely(answer, diagnosis)
 
 
+def strange(name: str, seed: int) -> Outside:
+    """An effect outside the catalogue on the boat."""
+    vehicle, rng = load(BOAT), np.random.default_rng(seed)
+    while True:
+        draw = outside.draw(name, vehicle, cases.typical(vehicle, "rich"), rng)
+        found = cases.sized(vehicle, draw, SEVERITY, "rich")
+        if isinstance(found, Outside):
+            return found
+
+
 @pytest.mark.parametrize(("name", "seed"), OUTSIDE.items())
 def test_what_the_catalogue_lacks_is_unknown_with_a_signal_that_it_depends_on(name, seed):
-    vehicle = load(BOAT)
-    rng = np.random.default_rng(seed)
-    hidden = None
-    while hidden is None:
-        draw = outside.draw(name, vehicle, cases.typical(vehicle, "rich"), rng)
-        hidden = cases.sized(vehicle, draw, SEVERITY, "rich")
-    answer, diagnosis = answered(BOAT, [hidden], seed)
+    answer, diagnosis = answered(BOAT, [strange(name, seed)], seed)
     assert whole(answer, diagnosis), (answer, diagnosis["findings"], diagnosis["residual_after"])
+
+
+def test_a_learned_force_that_predicts_the_training_log_worse_is_left_out(monkeypatch):
+    """Here because it is learned with the wrong sign and ten times too large."""
+    name, seed = "stick_slip", OUTSIDE["stick_slip"]
+
+    def wrong(*args):
+        return tuple(dataclasses.replace(term, scale=-10.0 * term.scale) for term in learn(*args))
+
+    monkeypatch.setattr("jaxmarine.diagnosis._diagnose.learn", wrong)
+    _, diagnosis = diagnosed(BOAT, [strange(name, seed)], seed)
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.extended.placed == () and diagnosis.gain.ratio == 1.0
+    assert any("left out" in note for note in diagnosis.notes)
 
 
 @pytest.mark.parametrize("seed", NOTHING)

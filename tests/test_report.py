@@ -414,6 +414,12 @@ def test_what_cannot_be_drawn_is_dropped(tmp_path):
     assert "Infinity" not in json.dumps(figures(page))
 
 
+def test_what_cannot_be_told_apart_comes_with_the_plan_that_would(tmp_path):
+    text = read(write_report(diagnosis(), tmp_path)).text
+    plan = text[text.index("jaxmarine plan --vehicle VEHICLE") :]
+    assert plan.index('--cause "thruster_gain:port factor=') < plan.index('--cause "inflow_loss')
+
+
 def test_names_from_files_stay_text(tmp_path):
     # In the pictures a dollar sign would begin a formula, and the font lacks most scripts.
     target = f"{EVIL} $x_{{$ 漢"

@@ -127,9 +127,18 @@ def diagnose(
             for one in unknown
             if one.dof not in {term.target for term in learned}
         ]
+        if terms and not _harmless(bench, model, terms):
+            terms = ()
+            notes.append(
+                "What was learned of it predicts the training log worse than nothing; it was left out."
+            )
     extended = extended.place(*terms)
     progress("predicting the test log")
     measured = _measured_gain(bench, model, terms, test)
+    if measured[0].ratio_ci95[0] > 1.0:
+        notes.append(
+            f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
+        )
     findings = findings_of(bench, now, found.rounds) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
@@ -379,7 +388,7 @@ def _with_unknown(
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
-    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle), bench.samples)
+    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
@@ -493,6 +502,18 @@ def gain_of(
             since = Beginning(which, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
     return _measured_gain(bench, bench.refine(model), (), test)[0]
+
+
+def _harmless(bench: Workbench, model: Model, terms: Sequence[Placed]) -> bool:
+    """Whether learned terms predict the longest training log no worse than it is predicted without them.
+
+    A force learned beside what it was learned from may be unstable when it acts for seconds.
+    """
+    log = max(bench.data.logs, key=lambda log: log.duration)
+    if log.duration < HORIZON + 4.0:
+        return True
+    without, with_terms = (_measured_gain(bench, model, some, log)[0].ratio for some in ((), terms))
+    return with_terms <= without
 
 
 def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):

@@ -13,8 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
+from scipy.optimize import minimize
 
 from .._errors import InputError
 from .._types import CHANNELS, SENSORS
@@ -24,19 +24,20 @@ from ..logs import Log
 from ..physics import compose, small_turn, step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
+from ._diagnose import FEWEST_WINDOWS, SHORTEST, WINDOW
 from ._model import base_coefficients
 from ._progress import Progress, silent
 from ._saturated import SaturatedPlant, saturate
 
 DT = 0.1  # [s] between samples of the manoeuvre
 HOLD = 2.0  # [s] between corners of a command
-WINDOW = 4.0  # [s], as in a diagnosis: each window has an initial state of its own
 # Random manoeuvres that are moved into the box, of which the best is improved, and steps for either.
 RANDOM, STAY, IMPROVE = 4, 200, 60
 # Standard deviation of the corners of a random manoeuvre's commands.
 FIRST = 0.3
 # Share of the box that a manoeuvre is to keep to, and the price of leaving it.
 INSIDE, WALL = 0.8, 1e3
+RUNAWAY = 1e6  # cost of commands along which the vehicle cannot be simulated
 # Precision of a rival's parameters: a trace, for what the manoeuvre does not determine.
 TRACE = 1e-8
 
@@ -118,15 +119,18 @@ class _Causes(eqx.Module):
 
         return jax.vmap(one)(self.theta)
 
-    def _windows(self, theta: Array, commands: Array, starts: State, moved: Array) -> Array:
-        """Channels of every window, each from its own state, all moved by 12 numbers."""
-        plant = self.plant_of(theta, 0)
+    def _cut(self, a: Array) -> Array:
+        """Windows of what is there for each sample."""
         count = len(self.t) // self.window
+        return a[: count * self.window].reshape(count, self.window, *a.shape[1:])
 
-        def cut(a):
-            return a[: count * self.window].reshape(count, self.window, *a.shape[1:])
+    def _windows(
+        self, theta: Array, commands: Array, starts: State, moved: Float[Array, "windows 12"]
+    ) -> Array:
+        """Channels of every window, each from its own state moved by 12 numbers."""
+        plant = self.plant_of(theta, 0)
 
-        def one(start, tracks):
+        def one(start, tracks, moved):
             state = State(
                 start.position + moved[:3],
                 compose(start.attitude, small_turn(moved[3:6])),
@@ -135,38 +139,48 @@ class _Causes(eqx.Module):
             )
             return self._roll(plant, state, tracks)[1]
 
-        return jax.vmap(one)(starts, jax.tree.map(cut, self._tracks(plant, commands)))
+        return jax.vmap(one)(starts, jax.tree.map(self._cut, self._tracks(plant, commands)), moved)
 
-    def separations(self, commands: Array, states: State) -> Float[Array, " pairs"]:
-        """Chi-square that each rival leaves of each cause's log when all else is refitted (one step)."""
+    def separations(self, commands: Array, states: State, channels: Array) -> Float[Array, " pairs"]:
+        """Chi-square that each rival leaves of each cause's log when all else is refitted (one step).
+
+        Where the refit is best, what is left does not depend on it to first order. So the refit is not
+        differentiated, and of all its slopes only the one along it is.
+        """
         pairs = np.array(list(itertools.permutations(range(len(self.theta)), 2)))
         n = self.columns.shape[-1]
         prior = jnp.diag(jnp.asarray(start_precision(self.plant_of.vehicle.free)))
 
-        def one(true, states, theta, columns, precision):
-            starts = jax.tree.map(lambda a: a[: len(self.t) - self.window + 1 : self.window], states)
-            own = self._windows(true, commands, starts, jnp.zeros(12))
+        def one(flown, theta, columns, precision):
+            states, channels = flown
+            now = commands, jax.tree.map(lambda a: self._cut(a)[:, 0], states), self._cut(channels)
 
-            def missed(x):
-                seen = self._windows(theta + columns @ x[:n], commands, starts, x[n:])
-                return (self.weight[None, None] * wrapped(seen - own)).reshape(len(own), -1)
+            def missed(z, x, commands, starts, own):
+                seen = self._windows(theta + columns @ z, commands, starts, x)
+                return (self.weight * wrapped(seen - own)).reshape(len(own), -1)
 
-            nothing = jnp.zeros(n + 12)
-            off, slopes = missed(nothing), jax.jacfwd(missed)(nothing)
+            def alike(both):
+                moved = jnp.broadcast_to(both[n:], (len(now[2]), 12))
+                off = missed(both[:n], moved, *jax.lax.stop_gradient(now))
+                return off, off
+
+            slopes, off = jax.jacfwd(alike, has_aux=True)(jnp.zeros(n + 12))
             h = jnp.einsum("wnp,wnq->wpq", slopes, slopes)
             g = jnp.einsum("wnp,wn->wp", slopes, off)
             # Each window's initial state is free; then the rival and, within their error, the coefficients.
             right = jnp.concatenate([h[:, n:, :n], g[:, n:, None]], axis=2)
-            solved = jnp.linalg.solve(h[:, n:, n:] + prior[None], right)
+            solved = jnp.linalg.solve(h[:, n:, n:] + prior, right)
             g_z = (g[:, :n] - jnp.einsum("wzx,wx->wz", h[:, :n, n:], solved[..., -1])).sum(0)
             h_z = (h[:, :n, :n] - jnp.einsum("wzx,wxy->wzy", h[:, :n, n:], solved[..., :-1])).sum(0)
-            left = (off**2).sum() - (g[:, n:] * solved[..., -1]).sum()
-            return left - g_z @ jnp.linalg.solve(h_z + jnp.diag(precision), g_z)
+            z = -jnp.linalg.solve(h_z + jnp.diag(precision), g_z)
+            x = -solved[..., -1] - solved[..., :-1] @ z
+            refit = z, x = jax.lax.stop_gradient((z, x))
+            off, change = jax.jvp(lambda z, x: missed(z, x, *now), jax.tree.map(jnp.zeros_like, refit), refit)
+            return ((off + change) ** 2).sum() + precision @ z**2 + jnp.einsum("wp,pq,wq->", x, prior, x)
 
         true, rival = pairs[:, 0], pairs[:, 1]
         return jax.vmap(one)(
-            self.theta[true],
-            jax.tree.map(lambda a: a[true], states),
+            jax.tree.map(lambda a: a[true], (states, channels)),
             self.theta[rival],
             self.columns[rival],
             self.precision[rival],
@@ -199,41 +213,45 @@ def _commands(corners: Float[Array, "corners columns"], t: Array) -> Array:
     return jax.vmap(lambda c: jnp.interp(t / t[-1], x, jnp.tanh(c)), in_axes=1, out_axes=1)(corners)
 
 
-def _judge(corners: Array, causes: _Causes) -> tuple[Array, Array]:
-    """The separations, and the sizes of all states in that of the box."""
-    commands = _commands(corners, causes.t)
-    states, _ = causes.flown(commands)
-    return causes.separations(commands, states), causes.sizes(states)
-
-
 def _leaving(sizes: Array) -> Array:
     """The price of leaving the inner box: squared, averaged over time."""
     return WALL * (jnp.maximum(sizes - INSIDE**2, 0.0) ** 2).mean(axis=1).sum()
 
 
-def _staying(corners: Array, causes: _Causes) -> Array:
-    return _leaving(causes.sizes(causes.flown(_commands(corners, causes.t))[0]))
+def _staying(corners: Array, causes: _Causes) -> tuple[Array, None]:
+    return _leaving(causes.sizes(causes.flown(_commands(corners, causes.t))[0])), None
 
 
-def _telling(corners: Array, causes: _Causes) -> Array:
-    """Less for a larger separation, of the pair that is hardest to tell, and for staying in the box."""
-    apart, sizes = _judge(corners, causes)
+def _telling(corners: Array, causes: _Causes) -> tuple[Array, tuple[Array, Array]]:
+    """Less for a larger separation, of the pair that is hardest to tell, and for staying in the box.
+
+    Beside it the least separation, and the largest of all sizes in that of the box, squared.
+    """
+    commands = _commands(corners, causes.t)
+    states, channels = causes.flown(commands)
+    apart, sizes = causes.separations(commands, states, channels), causes.sizes(states)
     softly_least = 1.0 / (1.0 / jnp.maximum(apart, 1e-9)).sum()
-    return _leaving(sizes) - jnp.log(softly_least + 1.0)
+    return _leaving(sizes) - jnp.log(softly_least + 1.0), (apart.min(), sizes.max())
 
 
 @eqx.filter_jit
+def _with_slope(cost: Callable, corners: Array, causes: _Causes):
+    return jax.value_and_grad(cost, has_aux=True)(corners, causes)
+
+
 def _improved(cost: Callable, steps: int, causes: _Causes, corners: Array) -> Array:
-    """Corners that cost less."""
-    solver = optx.BFGS(rtol=1e-4, atol=1e-4)
-    return optx.minimise(cost, solver, corners, causes, max_steps=steps, throw=False).value
+    """Corners that cost less.
 
+    The minimiser calls one compiled program; one that is compiled itself would contain it several times.
+    """
 
-@eqx.filter_jit
-def _extremes(causes: _Causes, corners: Array) -> tuple[Array, Array]:
-    """The least separation, and the largest squared size."""
-    apart, sizes = _judge(corners, causes)
-    return apart.min(), sizes.max()
+    def at(flat):
+        (value, _), slope = _with_slope(cost, jnp.asarray(flat).reshape(corners.shape), causes)
+        usable = np.isfinite(value) and np.isfinite(slope).all()
+        return (float(value), np.ravel(slope)) if usable else (RUNAWAY, np.zeros(corners.size))
+
+    found = minimize(at, np.ravel(corners), jac=True, method="L-BFGS-B", options={"maxiter": steps})
+    return jnp.asarray(found.x).reshape(corners.shape)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -246,7 +264,7 @@ class _Flown:
 
     @classmethod
     def of(cls, causes: _Causes, corners: Array) -> "_Flown":
-        apart, size = map(float, _extremes(causes, corners))
+        apart, size = map(float, _with_slope(_telling, corners, causes)[0][1])
         return cls(corners, apart, np.isfinite(apart) and size <= 1.0)
 
 
@@ -349,6 +367,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         jnp.asarray(np.arange(round(duration / DT)) * DT),
         initial_state(vehicle.place(*causes), (0.0, 0.0, middle)),
         max(substeps(craft, DT, box.speed) for craft in crafts),
-        round(WINDOW / DT),
+        # As a diagnosis of such a log: each window has an initial state of its own.
+        round(float(np.clip(duration / FEWEST_WINDOWS, SHORTEST, WINDOW)) / DT),
         box,
     )

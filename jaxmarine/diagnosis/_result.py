@@ -1,6 +1,7 @@
 """What a diagnosis says, as plain values: `diagnosis.json` is made from this and nothing else."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -160,6 +161,21 @@ class Diagnosis:
     train: tuple[str, ...]
     test: str
     notes: tuple[str, ...] = ()
+
+    def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:
+        """The causes of a group in words, as `jaxmarine plan --cause` takes them.
+
+        Each with the parameters at which it explains the training logs best.
+        """
+        found = {f.label: {name: p.value for name, p in f.parameters.items()} for f in self.findings}
+        weighed = sorted(
+            (one for ranking in self.rounds for one in ranking), key=lambda one: one.log_evidence
+        )
+        values = {one.label: one.parameters for one in weighed} | found
+        return tuple(
+            " ".join([label, *(f"{name}={value:.4g}" for name, value in values.get(label, {}).items())])
+            for label in group
+        )
 
     def to_json(self) -> dict:
         """The content of `diagnosis.json` (schema 1)."""

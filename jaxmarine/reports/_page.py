@@ -79,7 +79,10 @@ def page(diagnosis: Diagnosis) -> str:
         figures=_figures(charts),
         rounds=_rounds(diagnosis),
         parameters=[row for finding in diagnosis.findings for row in _parameters(finding)],
-        groups=[joined([title(label) for label in group]) for group in diagnosis.groups],
+        groups=[
+            (joined([title(label) for label in group]), diagnosis.causes_of(group))
+            for group in diagnosis.groups
+        ],
         recalibrated=[_recalibrated(entry) for entry in diagnosis.recalibrated],
         remainder=words.remainder(diagnosis),
         gain=words.gain_words(diagnosis),

@@ -1,0 +1,249 @@
+"""What fools the diagnosis? Logs with tricks that no effect of the catalogue is.
+
+usage: python -m experiments.adversary --out DIR [--seed 1] [--quick]
+
+A boat's logs are made by the independent simulator (`experiments/blind`) and then tampered with: columns
+exchanged, sensors late, noise misstated, causes that come and go, cancel one another or act in one log
+only. Each trick states which answers are honest; any other name is one that it was fooled into. It goes on
+where it was cut and writes results.json and results.md.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from rich.progress import track
+
+import jaxmarine as jm
+from experiments._study import study, write_results
+from experiments.blind.cases import make_case, with_noise
+from experiments.blind.outside import on
+from experiments.blind.plant import Effect, Outside
+from experiments.blind.vehicle import Array, dumps, load
+
+SHIP = "cybership2"
+TRAIN, TEST = 300.0, 150.0
+WEAK = Effect("thruster_gain", "port", {"factor": 0.6})
+Tables = tuple[pd.DataFrame, pd.DataFrame]  # of the training and of the test log
+NOTHING, REFUSED = "nothing found", "refused"
+
+
+def unknown(*signals: str) -> str:
+    """The answer that the cause is unknown and depends on one of these."""
+    return "unknown: " + ", ".join(signals)
+
+
+@dataclass(frozen=True)
+class Trick:
+    """A trick: what is hidden, what is done to the logs and to the file, and which answers are honest.
+
+    - `honest`: any of these alone or together: names, `NOTHING`, `REFUSED`, or `unknown(...)` with signals
+      of which one has to be among those named.
+    """
+
+    text: str
+    honest: tuple[str, ...]
+    hidden: tuple[Effect | Outside, ...] = ()
+    logs: Callable[[Tables, np.random.Generator], Tables] = lambda tables, rng: tables
+    noise: float = 1.0  # factor on the noise that the file states
+
+
+def both(change: Callable[[pd.DataFrame], pd.DataFrame]) -> Callable[[Tables, np.random.Generator], Tables]:
+    """The same done to both logs."""
+    return lambda tables, rng: (change(tables[0]), change(tables[1]))
+
+
+def exchanged(log: pd.DataFrame) -> pd.DataFrame:
+    return log.assign(port=log["star"], star=log["port"])
+
+
+def late(columns: list[str], samples: int) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    """Columns that come some samples after the others."""
+
+    def change(log: pd.DataFrame) -> pd.DataFrame:
+        moved = {name: log[name].shift(samples) for name in columns}
+        return log.assign(**moved).iloc[samples:].reset_index(drop=True)
+
+    return change
+
+
+def outliers(tables: Tables, rng: np.random.Generator) -> Tables:
+    """One position in a hundred is 5 m off."""
+
+    def change(log: pd.DataFrame) -> pd.DataFrame:
+        off = 5.0 * rng.normal(size=(len(log), 2)) * (rng.random((len(log), 1)) < 0.01)
+        return log.assign(x=log["x"] + off[:, 0], y=log["y"] + off[:, 1])
+
+    return change(tables[0]), change(tables[1])
+
+
+def jittered(tables: Tables, rng: np.random.Generator) -> Tables:
+    """Stamps that are off by up to a fifth of a sample."""
+    first, second = (log.assign(t=log["t"] + rng.uniform(-0.02, 0.02, len(log))) for log in tables)
+    return first, second
+
+
+def drifting_heading(log: pd.DataFrame) -> pd.DataFrame:
+    return log.assign(psi=log["psi"] + 0.002 * log["t"])
+
+
+def between(start: float, end: float, force: float) -> Outside:
+    """A push to starboard that comes and goes."""
+
+    def push(t: Array | float, s: Array, nu: Array) -> Array:
+        return np.where((np.asarray(t) >= start) & (np.asarray(t) < end), force, 0.0) + 0.0 * nu[0]
+
+    return Outside("push", ("sway",), ("t",), on("sway", push))
+
+
+def wind(north: float) -> Outside:
+    """A constant force in earth axes: a current would drag with the speed through the water."""
+
+    def wrench(t: Array | float, s: Array, nu: Array) -> Array:
+        out = np.zeros_like(nu)
+        out[0], out[1] = north * np.cos(s[5]), -north * np.sin(s[5])
+        return out
+
+    return Outside("wind", ("surge", "sway"), ("psi",), wrench)
+
+
+def tricks() -> dict[str, Trick]:
+    """All tricks, by a short name."""
+    pose = ["x", "y", "psi"]
+    reversed_ = both(lambda log: log.assign(port=-log["port"]))
+    rounded = both(lambda log: log.assign(x=log["x"].round(1), y=log["y"].round(1), psi=log["psi"].round(2)))
+    degrees = both(lambda log: log.assign(psi=np.rad2deg(log["psi"])))
+    percent = both(
+        lambda log: log.assign(port=100 * log["port"], star=100 * log["star"], bow=100 * log["bow"])
+    )
+    asleep = both(lambda log: pd.concat([log.iloc[:1]] * len(log), ignore_index=True).assign(t=log["t"]))
+    heavier = (
+        Effect("thruster_gain", "all", {"factor": 1.3}),
+        Effect("linear_damping", "surge", {"value": 0.3 * 1.33}),
+    )
+    thrusters = unknown("port", "star")
+    return {
+        "reversed": Trick("one propeller turns the other way", ("thruster_gain:port",), logs=reversed_),
+        "exchanged": Trick("two thrusters' columns are exchanged", (thrusters,), logs=both(exchanged)),
+        "late pose": Trick("the pose comes 0.5 s late", (unknown("u", "v", "r"),), logs=both(late(pose, 5))),
+        "late heading": Trick(
+            "the heading comes 0.5 s late", (unknown("u", "v", "r"),), logs=both(late(["psi"], 5))
+        ),
+        "outliers": Trick("one position in a hundred is 5 m off", (NOTHING,), logs=outliers),
+        "jitter": Trick("stamps are off by up to a fifth of a sample", (NOTHING,), logs=jittered),
+        "noise understated": Trick("the file states a third of the noise", (NOTHING,), noise=1 / 3),
+        "noise overstated": Trick("the file states three times the noise", (NOTHING,), noise=3.0),
+        "rounded": Trick("positions in steps of 0.1 m, heading of 0.01 rad", (NOTHING,), logs=rounded),
+        "heading drifts": Trick(
+            "the heading drifts by 0.002 rad/s",
+            (unknown("t", "psi"), "gyro_bias"),
+            logs=both(drifting_heading),
+        ),
+        "degrees": Trick("the heading in degrees", (REFUSED,), logs=degrees),
+        "percent": Trick("commands in percent", (REFUSED,), logs=percent),
+        "asleep": Trick("one sample repeated for ever", (REFUSED, NOTHING), logs=asleep),
+        "in one log": Trick("a weak propeller in the test log only", (NOTHING,), (WEAK,)),
+        "late cause": Trick(
+            "a propeller weakens 12 s before the end",
+            ("thruster_gain:port", NOTHING),
+            (Effect("thruster_gain", "port", {"factor": 0.6}, since=TRAIN - 12.0),),
+        ),
+        "comes and goes": Trick(
+            "a push from 100 to 200 s", (unknown("t"), "constant_wrench:sway"), (between(100.0, 200.0, 1.0),)
+        ),
+        "wind": Trick("a constant force in earth axes", (unknown("psi"),), (wind(1.0),)),
+        "cancelling": Trick(
+            "more thrust and more drag in surge", ("thruster_gain:all", "linear_damping:surge"), heavier
+        ),
+    }
+
+
+def tampered(name: str, trick: Trick, folder: Path, seed: int) -> None:
+    """Writes vehicle.toml, train.csv and test.csv."""
+    make_case(folder, SHIP, trick.hidden, seed, duration_train=TRAIN, duration_test=TEST)
+    tables = pd.read_csv(folder / "train.csv"), pd.read_csv(folder / "test.csv")
+    if name == "in one log":
+        clean = folder / "clean"
+        make_case(clean, SHIP, (), seed, duration_train=TRAIN, duration_test=TEST)
+        tables = pd.read_csv(clean / "train.csv"), tables[1]
+    train, test = trick.logs(tables, np.random.default_rng(seed))
+    train.to_csv(folder / "train.csv", index=False)
+    test.to_csv(folder / "test.csv", index=False)
+    (folder / "vehicle.toml").write_text(dumps(with_noise(load(SHIP).raw, trick.noise)))
+
+
+def answered(folder: Path) -> dict[str, Any]:
+    """What the diagnosis says of the logs in a folder."""
+    try:
+        vehicle = jm.load_vehicle(folder / "vehicle.toml")
+        train, test = (jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
+        found = jm.diagnose(vehicle, train, test)
+    except jm.InputError as error:
+        return {"refused": str(error)}
+    labels = [f.label for f in found.findings]
+    return {
+        "verdict": found.verdict,
+        "names": [label for label in labels if not label.startswith("unknown")],
+        "unknown": [label.partition(":")[2] for label in labels if label.startswith("unknown")],
+        "depends_on": list(found.depends_on),
+        "ratio": found.gain.ratio,
+        "notes": list(found.notes),
+    }
+
+
+def is_honest(trick: Trick, said: dict[str, Any]) -> bool:
+    """Whether nothing is said but what is honest."""
+    if "refused" in said:
+        return REFUSED in trick.honest
+    if said["verdict"] == "nothing_found":
+        return NOTHING in trick.honest
+    signals = {s for h in trick.honest if h.startswith("unknown") for s in h[9:].split(", ")}
+    told = not said["unknown"] or bool(signals & set(said["depends_on"]))
+    return told and set(said["names"]) <= set(trick.honest)
+
+
+def table(results: dict[str, Any]) -> str:
+    lines = ["| trick | honest would be | said | honest |", "|---|---|---|---|"]
+    for one in results.values():
+        said = one["said"]
+        words = [*said.get("names", []), *(f"unknown:{axis}" for axis in said.get("unknown", []))]
+        text = ", ".join(words) or said.get("verdict", "refused").replace("_", " ")
+        if said.get("depends_on"):
+            text += f" (of {', '.join(said['depends_on'])})"
+        row = (one["text"], " or ".join(one["honest"]), text, "yes" if one["fair"] else "no")
+        lines.append("| " + " | ".join(row) + " |")
+    fair = sum(one["fair"] for one in results.values())
+    return "\n".join([*lines, "", f"{fair} of {len(results)} answers are honest."]) + "\n"
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for logs and results.")],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all logs.")] = 1,
+    quick: Annotated[bool, typer.Option("--quick", help="Three tricks.")] = False,
+) -> None:
+    """Tries to fool the diagnosis and writes down what did."""
+    chosen = tricks()
+    if quick:
+        chosen = {name: chosen[name] for name in ("reversed", "degrees", "outliers")}
+    results: dict[str, Any] = {}
+    with study(out, False):
+        for name, trick in track(chosen.items(), "tricks", transient=True):
+            folder = out / name.replace(" ", "_")
+            kept = folder / "said.json"
+            if not kept.exists():
+                tampered(name, trick, folder, seed)
+                kept.write_text(json.dumps(answered(folder), indent=1) + "\n")
+            said = json.loads(kept.read_text())
+            fair = is_honest(trick, said)
+            results[name] = {"text": trick.text, "honest": trick.honest, "said": said, "fair": fair}
+    write_results(out, results, table(results))
+    print((out / "results.md").read_text())
+
+
+if __name__ == "__main__":
+    typer.run(main)
