@@ -330,7 +330,7 @@ def plan(
     craft = load_vehicle(vehicle)
     causes = [cause_named(craft, text) for text in cause]
     box = Box(depth, tilt, speed, radius)
-    with _progress(f"planning; {_FIRST_TIME}") as tell:
+    with _progress("planning; for a new duration or kind of cause, programs compile for minutes") as tell:
         result = run(craft, causes, duration, box, progress=tell)
     write_log(result.log, out)
     random = ", ".join(f"{evidence:.1f}" for evidence in sorted(result.random_evidence))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmarine.diagnosis._kinematics import contradiction, kinematics
+from jaxmarine.diagnosis._kinematics import contradiction, disagreement, kinematics
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.effects import VelocityInEarthAxes, VelocityScale
 from jaxmarine.logs import Log
@@ -69,3 +69,46 @@ def test_sensors_that_agree_are_left_alone():
     without = log.channels.copy()
     without[:, :6] = np.nan
     assert told((dataclasses.replace(log, channels=without),)) is None
+
+
+NOISE = np.repeat([0.02, 0.005, 0.02, 0.01, np.nan], [3, 3, 3, 3, 6])
+
+
+def apart(log: Log, *found) -> str | None:
+    """What is said of sensors on the boat with these effects found."""
+    return disagreement(boat().place(*(Placed(effect) for effect in found)), (log,), NOISE)
+
+
+def changed(log: Log, columns: slice, values: np.ndarray) -> Log:
+    channels = np.array(log.channels)
+    channels[:, columns] = values
+    return dataclasses.replace(log, channels=channels)
+
+
+@pytest.mark.parametrize(
+    ("columns", "what"), [(slice(0, 6), "positions and attitude come"), (slice(3, 6), "attitude comes")]
+)
+@pytest.mark.parametrize("lag", [6, -6])
+def test_sensors_that_come_at_other_times_are_told_with_the_lag(columns, what, lag):
+    log = record(boat(), steps(600))
+    whole = slice(6, -6)
+    moved = log.channels[6 - lag : len(log.t) - 6 - lag, columns]
+    cut = {name: getattr(log, name)[whole] for name in ("t", "channels", "commands")}
+    said = apart(changed(dataclasses.replace(log, **cut), columns, moved))
+    assert said is not None
+    assert what in said and "0.6 s" in said and ("later" if lag > 0 else "earlier") in said
+
+
+def test_a_heading_in_degrees_contradicts_its_rate():
+    log = record(boat(), steps(600))
+    said = apart(changed(log, slice(5, 6), np.rad2deg(log.channels[:, 5:6])))
+    assert said is not None
+    assert "r contradict" in said and "units" in said
+
+
+def test_sensors_that_agree_or_whose_error_was_found_are_not_blamed():
+    scale = VelocityScale(jnp.asarray(2.0))
+    (clean,), (scaled,) = logs_of(), logs_of(scale)
+    assert apart(clean) is None
+    assert apart(scaled) is not None
+    assert apart(scaled, scale) is None

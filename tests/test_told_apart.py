@@ -4,7 +4,6 @@ import json
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -53,7 +52,6 @@ def test_a_quick_run_writes_its_table_and_goes_on_where_it_was_cut(tmp_path):
         assert ran.exit_code == 0
     (row,) = json.loads((tmp_path / "results.json").read_text())["rows"]
     planned, random = row["planned"], row["random"]
-    assert planned["expected_nats"] > 2.0 * random["expected_nats"]
-    # The independent plant's log prefers the truth by about what was expected.
-    assert np.isclose(planned["found_nats"], planned["expected_nats"], rtol=0.6)
+    assert planned["expected_nats"] > 10.0 * random["expected_nats"]
+    assert planned["outcome"] == "decides"
     assert (tmp_path / "evidence.svg").exists()

@@ -19,7 +19,7 @@ from ._answer import extended_by, findings_of, groups, recalibrated, weighed
 from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
 from ._judge import Judged, judged
-from ._kinematics import contradiction
+from ._kinematics import contradiction, disagreement
 from ._knots import knots, missing_wrench
 from ._learn import learn
 from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
@@ -86,6 +86,7 @@ def diagnose(
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
     notes = [note for log in (*logs, test) for note in log.notes]
+    _moving(logs)
     bench = _workbench(vehicle, logs, catalogue, window)
     notes += _stuck(bench)
     if test.duration < HORIZON + 4.0:
@@ -113,6 +114,11 @@ def diagnose(
         rest, share = _left_over(bench, now, unknown), WITH_UNKNOWN if unknown else ALONE
         if (now.model.members or dense) and not now.white and rival.leaves_less(rest, share):
             now, unknown, dense = rival.judged, rival.dependences, False
+    if now.model.members and _gain_at_home(bench, now.model) > 1.0:
+        now, unknown, dense = rival.judged, rival.dependences, False
+        notes.append(
+            "What was named at first predicts the training log worse than the file over 5 s; it was dropped."
+        )
     model, start = now.model, rival.start
 
     extended = extended_by(bench, model, dense)
@@ -127,7 +133,7 @@ def diagnose(
             for one in unknown
             if one.dof not in {term.target for term in learned}
         ]
-        if terms and not _harmless(bench, model, terms):
+        if terms and _gain_at_home(bench, model, terms) > _gain_at_home(bench, model):
             terms = ()
             notes.append(
                 "What was learned of it predicts the training log worse than nothing; it was left out."
@@ -152,6 +158,9 @@ def diagnose(
         for one in unknown
         if one.tied
     ]
+    apart = None if now.white else disagreement(extended, logs, bench.noise)
+    if apart is not None:
+        notes.append(apart)
     named = any(f.effect != "unknown" for f in findings)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
@@ -224,6 +233,15 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
                 f"fits at most {room} at once; use an effect with fewer."
             )
     return bench
+
+
+def _moving(logs: Sequence[Log]) -> None:
+    """Refuses training logs in which nothing changes: whatever explained them would be made up."""
+    seen = np.concatenate([log.channels for log in logs])
+    measured = seen[:, np.isfinite(seen).any(axis=0)]
+    if measured.size and (np.nanmax(measured, axis=0) == np.nanmin(measured, axis=0)).all():
+        names = ", ".join(log.name for log in logs)
+        raise InputError(f"{names}: no channel ever changes; use a log in which the vehicle moves.")
 
 
 def _stuck(bench: Workbench) -> list[str]:
@@ -504,16 +522,13 @@ def gain_of(
     return _measured_gain(bench, bench.refine(model), (), test)[0]
 
 
-def _harmless(bench: Workbench, model: Model, terms: Sequence[Placed]) -> bool:
-    """Whether learned terms predict the longest training log no worse than it is predicted without them.
+def _gain_at_home(bench: Workbench, model: Model, terms: Sequence[Placed] = ()) -> float:
+    """The error over that of the file on the longest training log; 1 where that is too short.
 
-    A force learned beside what it was learned from may be unstable when it acts for seconds.
+    A window is forgiving: what is fitted to a few seconds may be unstable when it acts for longer.
     """
     log = max(bench.data.logs, key=lambda log: log.duration)
-    if log.duration < HORIZON + 4.0:
-        return True
-    without, with_terms = (_measured_gain(bench, model, some, log)[0].ratio for some in ((), terms))
-    return with_terms <= without
+    return 1.0 if log.duration < HORIZON + 4.0 else _measured_gain(bench, model, terms, log)[0].ratio
 
 
 def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):

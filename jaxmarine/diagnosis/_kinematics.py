@@ -13,9 +13,10 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
+from .._types import CHANNELS
 from ..effects import AbstractEffect, Readings, SensorEffect, Suspect, place
 from ..fitting import levenberg_marquardt
 from ..logs import Log
@@ -30,6 +31,11 @@ FEWEST = 8
 SIGMAS, MARGIN = 4.0, 10.0
 # The residual of some channel must fall below this part: what is smaller is left to the search.
 GROSS = 0.5
+# Sensors agree where their chi-square beyond the noise is below this share of the noise. If not, they come
+# at different times where this part of it is left at another lag, of so many seconds at most; or else they
+# contradict one another where a velocity is off by so many standard deviations and by this share of its size.
+AGREES, AT_ANOTHER_TIME, LATEST = 0.3, 0.5, 2.0
+OFF, SHARE = 5.0, 0.2
 # Refits with each channel weighed by what the last one has left of it.
 REFITS = 3
 
@@ -86,13 +92,8 @@ def contradiction(
     best, found = MARGIN, None
 
     def errors(effect: AbstractEffect):
-        def shown(nu, turn):
-            readings = Readings(jnp.zeros(3), jnp.zeros(3), nu, jnp.zeros(6))
-            assert isinstance(effect, SensorEffect)
-            return effect(readings, turn).nu
-
-        predicted = jax.vmap(jax.vmap(shown))(jnp.asarray(seen.nu), jnp.asarray(seen.rotation)).mean(axis=1)
-        return jnp.where(known, predicted - jnp.nan_to_num(seen.logged), 0.0)
+        assert isinstance(effect, SensorEffect)
+        return jnp.where(known, _shown(seen, [effect]) - jnp.nan_to_num(seen.logged), 0.0)
 
     def misfit(values, args, suspect: Suspect):
         return errors(place(suspect, vehicle, values)) / args[None]
@@ -117,6 +118,103 @@ def contradiction(
         if evidence > best and t_value(each) > SIGMAS:
             best, found = evidence, (i, {name: float(value) for name, value in values.items()})
     return found
+
+
+def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray, "18"]) -> str | None:
+    """A sentence on velocities that positions and attitude contradict, None where they agree.
+
+    - `vehicle`: with its sensor effects, as found; `noise`: standard deviation of each channel, NaN where
+      it was not measured.
+    """
+    effects = [p.effect for p in vehicle.placed if isinstance(p.effect, SensorEffect) and p.since is None]
+
+    def apart(logs: Sequence[Log]) -> _Apart:
+        return _apart(kinematics(vehicle, logs), effects, logs, noise)
+
+    now = apart(logs)
+    if now.excess < AGREES:
+        return None
+    dt = float(np.median([log.dt for log in logs]))
+    most, step = round(LATEST / dt), max(1, round(SPAN / 10 / dt))
+    lags = [lag for lag in range(-most, most + 1, step) if lag]
+    kinds = {"positions and attitude come": slice(0, 6), "attitude comes": slice(3, 6)}
+    left = {what: [apart(_moved(logs, which, lag)).excess for lag in lags] for what, which in kinds.items()}
+    what = min(left, key=lambda kind: min(left[kind]))
+    best = int(np.argmin(left[what]))
+    if left[what][best] < AT_ANOTHER_TIME * now.excess:
+        # The lowest point of a parabola: the noise moves the least of the lags tried by one or two.
+        near = slice(max(best - 4, 0), best + 5)
+        bend, slope, _ = np.polyfit(lags[near], left[what][near], 2)
+        late = -0.5 * slope / bend * dt if bend > 0 else lags[best] * dt
+        sense = "later" if late > 0 else "earlier"
+        return f"The logged {what} about {abs(late):.1g} s {sense} than the velocities."
+    bad = np.flatnonzero((now.off > OFF) & (now.share > SHARE))
+    if not bad.size:
+        return None
+    return (
+        f"{', '.join(CHANNELS[6 + i] for i in bad)} contradict what positions and attitude show, whatever "
+        "forces act: check units, signs and frames of the sensors."
+    )
+
+
+def _moved(logs: Sequence[Log], which: slice, lag: int) -> list[Log]:
+    """The logs with some of their channels that many samples earlier."""
+    out = []
+    for log in logs:
+        channels = np.array(log.channels)
+        channels[:, which] = np.nan
+        ahead, here = slice(max(lag, 0), min(lag, 0) or None), slice(max(-lag, 0), min(-lag, 0) or None)
+        channels[here, which] = log.channels[ahead, which]
+        out.append(dataclasses.replace(log, channels=channels))
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class _Apart:
+    """How far logged velocities are from those shown by positions and attitude.
+
+    - `off`: over the standard deviation of the noise; `share`: over their size.
+    - `excess`: chi-square beyond the noise, of all, per number.
+    """
+
+    off: Float[np.ndarray, "6"]
+    share: Float[np.ndarray, "6"]
+    excess: float
+
+
+def _apart(
+    seen: Kinematics | None,
+    effects: Sequence[SensorEffect],
+    logs: Sequence[Log],
+    noise: Float[np.ndarray, "18"],
+) -> _Apart:
+    if seen is None:
+        return _Apart(np.zeros(6), np.zeros(6), 0.0)
+    shown = np.asarray(_shown(seen, effects))
+    samples = SPAN / float(np.median([log.dt for log in logs]))
+    # Of a mean over a stretch, and of the difference of its ends.
+    expected = np.sqrt(noise[6:12] ** 2 / samples + 2 * (noise[:6] / SPAN) ** 2)
+    known = np.isfinite(seen.logged) & np.isfinite(expected)
+    error = np.where(known, seen.logged - shown, 0.0)
+    scaled = error / np.where(np.isfinite(expected), expected, 1.0)
+    count = np.maximum(known.sum(axis=0), 1)
+    return _Apart(
+        np.sqrt((scaled**2).sum(axis=0) / count),
+        _rms(error, count) / _rms(np.where(known, shown, 0.0), count),
+        float((scaled**2).sum() / max(known.sum(), 1)) - 1.0,
+    )
+
+
+def _shown(seen: Kinematics, effects: Sequence[SensorEffect]) -> Float[Array, "stretches 6"]:
+    """What velocity sensors with these effects would have logged on average over each stretch."""
+
+    def one(nu, turn):
+        readings = Readings(jnp.zeros(3), jnp.zeros(3), nu, jnp.zeros(6))
+        for effect in effects:
+            readings = effect(readings, turn)
+        return readings.nu
+
+    return jax.vmap(jax.vmap(one))(jnp.asarray(seen.nu), jnp.asarray(seen.rotation)).mean(axis=1)
 
 
 def _rms(errors: Float[np.ndarray, "stretches 6"], count: Int[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:

@@ -157,7 +157,7 @@ class _Causes(eqx.Module):
 
             def missed(z, x, commands, starts, own):
                 seen = self._windows(theta + columns @ z, commands, starts, x)
-                return (self.weight * wrapped(seen - own)).reshape(len(own), -1)
+                return (self.weight[None, None] * wrapped(seen - own)).reshape(len(own), -1)
 
             def alike(both):
                 moved = jnp.broadcast_to(both[n:], (len(now[2]), 12))
@@ -169,7 +169,7 @@ class _Causes(eqx.Module):
             g = jnp.einsum("wnp,wn->wp", slopes, off)
             # Each window's initial state is free; then the rival and, within their error, the coefficients.
             right = jnp.concatenate([h[:, n:, :n], g[:, n:, None]], axis=2)
-            solved = jnp.linalg.solve(h[:, n:, n:] + prior, right)
+            solved = jnp.linalg.solve(h[:, n:, n:] + prior[None], right)
             g_z = (g[:, :n] - jnp.einsum("wzx,wx->wz", h[:, :n, n:], solved[..., -1])).sum(0)
             h_z = (h[:, :n, :n] - jnp.einsum("wzx,wxy->wzy", h[:, :n, n:], solved[..., :-1])).sum(0)
             z = -jnp.linalg.solve(h_z + jnp.diag(precision), g_z)
@@ -208,9 +208,13 @@ class _Causes(eqx.Module):
 
 
 def _commands(corners: Float[Array, "corners columns"], t: Array) -> Array:
-    """Commands along straight lines between corners, within -1 and 1."""
-    x = jnp.linspace(0.0, 1.0, len(corners))
-    return jax.vmap(lambda c: jnp.interp(t / t[-1], x, jnp.tanh(c)), in_axes=1, out_axes=1)(corners)
+    """Commands along straight lines between corners, within -1 and 1.
+
+    From zero: what thrusters did before the log began would be another unknown.
+    """
+    x = jnp.linspace(0.0, 1.0, len(corners) + 1)
+    heights = jnp.pad(jnp.tanh(corners), [(1, 0), (0, 0)])
+    return jax.vmap(lambda y: jnp.interp(t / t[-1], x, y), in_axes=1, out_axes=1)(heights)
 
 
 def _leaving(sizes: Array) -> Array:
@@ -287,7 +291,7 @@ def plan(
     file's coefficients and the windows' initial states refitted.
     """
     problem = _causes(vehicle, causes, duration, Box() if box is None else box)
-    shape = (max(2, round(duration / HOLD) + 1), len(vehicle.command_names))
+    shape = (round(duration / HOLD), len(vehicle.command_names))
     rng = np.random.default_rng(seed)
     random = []
     for number in range(RANDOM):

@@ -11,8 +11,9 @@ from ._model import Beginning, Member, Model, Workbench
 from ._progress import Progress
 from ._score import Reduced, savings, scatter, step_with, t_value
 
-# Suspects refitted in a round, by what the linearisation says they would save.
-SHORTLIST = 8
+# Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
+# beginning on, of which there are so many to choose from that they would crowd the others out.
+SHORTLIST, SHORTLIST_BEGUN = 8, 4
 # Leading suspects that are refitted with a beginning too, and suspects that may win a round where the best
 # rests on few windows.
 WITH_BEGINNING = 3
@@ -80,15 +81,30 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     return max(1.0, float(np.median(_dispersions(stats, owns, known, precision))))
 
 
-def _dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Variance of summed scores over information, of each own column that says more than the known ones."""
+def _projected(
+    stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scores and information per window of each own column that says more than the known ones."""
     h = stats.h.sum(0)
     x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
     combined = own - known @ x
-    scores = stats.g @ combined
-    information, full = (np.einsum("ij,ik,kj->j", a, h, a, optimize=True) for a in (combined, own))
-    usable = information > 1e-6 * full + 1e-12
-    return len(scores) * scatter(scores)[usable] / information[usable]
+    information = np.einsum("wij,ik,jk->wk", stats.h, combined, combined, optimize=True)
+    usable = information.sum(0) > 1e-6 * np.einsum("ij,ik,kj->j", own, h, own, optimize=True) + 1e-12
+    return (stats.g @ combined)[:, usable], information[:, usable]
+
+
+def _dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Variance of summed scores over information, of each own column that says more than the known ones."""
+    scores, information = _projected(stats, own, known, precision)
+    return len(scores) * scatter(scores) / information.sum(0)
+
+
+def _split(bench: Workbench, model: Model, where: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns of one member, `where` its parameters lie in z, those of all else, and the latter's prior."""
+    known, precision, _ = bench.known(model)
+    mine = np.zeros(known.shape[1], bool)
+    mine[where] = True
+    return known[:, mine], known[:, ~mine], precision[~mine]
 
 
 def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice, phi: float) -> float:
@@ -96,11 +112,15 @@ def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice,
 
     A disturbance that pushes one axis more than the others scatters the scores of what acts there.
     """
-    known, precision, _ = bench.known(model)
-    mine = np.zeros(known.shape[1], bool)
-    mine[where] = True
-    ratios = _dispersions(stats, known[:, mine], known[:, ~mine], precision[~mine])
+    ratios = _dispersions(stats, *_split(bench, model, where))
     return max(phi, float(ratios.mean())) if len(ratios) else phi
+
+
+def _windows_that_tell(bench: Workbench, model: Model, stats: Reduced, where: slice) -> float:
+    """In how many windows a member shows: all, if it shows in all alike."""
+    _, information = _projected(stats, *_split(bench, model, where))
+    share = (information / np.maximum(information.sum(0), 1e-300)).mean(axis=1) if information.size else [1.0]
+    return 1.0 / float(np.square(share).sum())
 
 
 def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Member], dict[int, Member]]:
@@ -215,7 +235,15 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
             (bench.window_log == since.log) & (bench.data.starts >= since.time - 1e-9)
         )
         lost = lost[acts]
-    return bool(trial.saved > needed(bench, trial.member, phi) and t_value(lost) > SIGMAS)
+    least = needed(bench, trial.member, phi)
+    if trial.saved < least:
+        return False
+    # What acts in few windows, as a saturation does, scatters by nature; then the same number of windows
+    # with a scale of their own must not make it likely.
+    where = bench.slices(trial.model.members)[-1]
+    own = own_dispersion(bench, trial.model, after, where, 1.0)
+    few = _windows_that_tell(bench, trial.model, after, where)
+    return bool(t_value(lost) > SIGMAS or few * np.log1p(trial.saved / (own * few)) > least / phi)
 
 
 def search(
@@ -233,7 +261,9 @@ def search(
     while len(model.members) < MOST:
         progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
         ranked, begun = shortlist(bench, model, stats)
-        trials = _trials(bench, model, [(member, None) for member in ranked[:SHORTLIST]])
+        always = [member for member in ranked if member.since is None][:SHORTLIST]
+        late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
+        trials = _trials(bench, model, [(member, None) for member in (*always, *late)])
         trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
         best = max([t.saved for t in trials], default=0.0)
         if best > PROBED:

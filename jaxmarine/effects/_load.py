@@ -65,7 +65,11 @@ class Payload(LoadEffect):
         if free(craft, "heave", "roll", "pitch"):
             names = ["mass", "volume", "x", "y", "z"]
         slots = {name: (list(cls.units).index(name),) for name in names}
-        return (Suspect(cls, None, slots),)
+        # Without a mass its place has no slope. Neutrally buoyant, or the weight would hide the place.
+        body = {"mass": 1.0, "volume": 1e-3}
+        starts = ({**body, "x": 0.3}, {**body, "x": -0.3}, {**body, "y": 0.2}, {**body, "y": -0.2})
+        filled = tuple({name: start.get(name, 0.0) for name in names} for start in starts)
+        return (Suspect(cls, None, slots, filled),)
 
     def __call__(self, load: Load) -> Load:
         place = jnp.stack([self.x, self.y, self.z])

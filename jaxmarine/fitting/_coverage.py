@@ -50,7 +50,8 @@ def coverage(logs: Sequence[Log], dof: Sequence[str]) -> tuple[AxisCoverage, ...
                     velocity_rms=float(np.sqrt((v**2).mean())),
                     velocity_range=(float(v.min()), float(v.max())),
                     velocity_middle=(low, high),
-                    velocity_shares=tuple((np.histogram(v, _PARTS)[0] / len(v)).tolist()),
+                    # Without the mean: numbers that differ in the last digit only have no bins between them.
+                    velocity_shares=tuple((np.histogram(v - v.mean(), _PARTS)[0] / len(v)).tolist()),
                     acceleration_std=float(a.std()),
                     acceleration_range=(float(a.min()), float(a.max())),
                 )
