@@ -49,7 +49,7 @@ from jaxmarine.physics import from_euler
 
 ROUNDS = 3  # causes that a forward selection may name
 # Acceleration, root mean square over all samples in units of the noise, that a column must add to stay in the
-# sparse regression, and the ridge's pull as a share of a column's own information: of twelve such pairs what
+# sparse regression, and the ridge's pull as a share of a column's own information: of 33 settings what
 # did best on twelve logs that are not of the matrix.
 THRESHOLD, RIDGE = 0.5, 0.03
 STEP = 1e-4  # of a parameter, for the acceleration that it adds

@@ -120,14 +120,10 @@ def outcome(found: jm.Diagnosis, true: str, rival: str) -> str:
     named, *others = found.findings
     if others:
         return "wrong"
-    close = [_label(a.effect, a.target) for a in named.alternatives if a.indistinguishable]
+    close = [a.label for a in named.alternatives if a.indistinguishable]
     if named.label == true and rival not in close:
         return "decides"
     return "undecided" if true in (named.label, *close) else "wrong"
-
-
-def _label(effect: str, target: str | None) -> str:
-    return effect if target is None else f"{effect}:{target}"
 
 
 def evidence(found: jm.Diagnosis, true: str, rival: str) -> float | None:
@@ -135,7 +131,7 @@ def evidence(found: jm.Diagnosis, true: str, rival: str) -> float | None:
     if not found.findings:
         return None
     named = found.findings[0]
-    behind = {_label(a.effect, a.target): named.log_evidence - a.log_evidence for a in named.alternatives}
+    behind = {a.label: named.log_evidence - a.log_evidence for a in named.alternatives}
     if named.label == rival:
         return -behind[true] if true in behind else None
     return behind.get(rival) if named.label == true else None

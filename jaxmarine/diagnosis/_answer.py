@@ -125,11 +125,7 @@ def groups(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
     """Labels that the logs cannot tell apart, each group with its finding first."""
     out = []
     for finding in findings:
-        same = [
-            a.effect if a.target is None else f"{a.effect}:{a.target}"
-            for a in finding.alternatives
-            if a.indistinguishable
-        ]
+        same = [a.label for a in finding.alternatives if a.indistinguishable]
         if same:
             out.append((finding.label, *same))
     return tuple(out)

@@ -49,6 +49,7 @@ SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
 SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
+LEAST = HORIZON + 4.0  # [s] of a log on which a gain is measured
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where unknown dependences alone leave less than the second share of what they leave, or
 # than the third one of what they leave together with unknown dependences, or the last one of what more than
@@ -89,10 +90,9 @@ def diagnose(
     _moving(logs)
     bench = _workbench(vehicle, logs, catalogue, window)
     notes += _stuck(bench)
-    if test.duration < HORIZON + 4.0:
+    if test.duration < LEAST:
         raise InputError(
-            f"{test.name}: is shorter than a prediction with its run-in ({HORIZON + 4.0:g} s); "
-            "use a longer test log."
+            f"{test.name}: is shorter than a prediction with its run-in ({LEAST:g} s); use a longer test log."
         )
     if not (np.isfinite(test.channels).any(axis=0) & np.isfinite(bench.noise)).any():
         raise InputError(
@@ -114,8 +114,9 @@ def diagnose(
         rest, share = _left_over(bench, now, unknown), WITH_UNKNOWN if unknown else ALONE
         if (now.model.members or dense) and not now.white and rival.leaves_less(rest, share):
             now, unknown, dense = rival.judged, rival.dependences, False
-    if now.model.members and _gain_at_home(bench, now.model) > 1.0:
-        now, unknown, dense = rival.judged, rival.dependences, False
+    at_home = _gain_at_home(bench, now.model)
+    if at_home > 1.0:
+        now, unknown, dense, at_home = rival.judged, rival.dependences, False, 1.0
         notes.append(
             "What was named at first predicts the training log worse than the file over 5 s; it was dropped."
         )
@@ -133,7 +134,7 @@ def diagnose(
             for one in unknown
             if one.dof not in {term.target for term in learned}
         ]
-        if terms and _gain_at_home(bench, model, terms) > _gain_at_home(bench, model):
+        if terms and _gain_at_home(bench, model, terms) > at_home:
             terms = ()
             notes.append(
                 "What was learned of it predicts the training log worse than nothing; it was left out."
@@ -203,8 +204,12 @@ def _window(logs: Sequence[Log], window: float | None) -> float:
             f"{logs[0].name}: has a sample every {dt:g} s, too few to see how a vehicle moves; give t in "
             f"seconds, or take a log with a sample every {SLOWEST:g} s or faster."
         )
-    length = np.clip(sum(log.duration for log in logs) / FEWEST_WINDOWS, SHORTEST, WINDOW)
-    return float(max(length, FEWEST_SAMPLES * dt))
+    return window_length(sum(log.duration for log in logs), dt)
+
+
+def window_length(duration: float, dt: float) -> float:
+    """Seconds of a window of logs that last so long together, with a sample every `dt` s."""
+    return float(max(np.clip(duration / FEWEST_WINDOWS, SHORTEST, WINDOW), FEWEST_SAMPLES * dt))
 
 
 def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
@@ -322,15 +327,15 @@ def _pruned(bench: Workbench, model: Model) -> Model:
     if not model.members:
         return model
     stats = bench.screen(model)
-    phi = dispersion(bench, model, stats)
+    phi, sound = dispersion(bench, model, stats), bench.sound(model)
     for i, where in enumerate(bench.slices(model.members)):
         least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
         less = bench.refine(bench.without_member(model, i), FEW_STEPS, ROUGH)
-        if bench.sound(model) and 2 * (less.promised - model.cost) > OBVIOUS * least:
+        if sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
             continue
         less = bench.refine(less)
         idle = 2 * (less.cost - model.cost) < least
-        if idle or (bench.sound(less) and not bench.sound(model)):
+        if idle or (not sound and bench.sound(less)):
             return _pruned(bench, less)
     return model
 
@@ -523,12 +528,14 @@ def gain_of(
 
 
 def _gain_at_home(bench: Workbench, model: Model, terms: Sequence[Placed] = ()) -> float:
-    """The error over that of the file on the longest training log; 1 where that is too short.
+    """The error over that of the file on the longest training log; 1 where nothing is added or it is short.
 
     A window is forgiving: what is fitted to a few seconds may be unstable when it acts for longer.
     """
     log = max(bench.data.logs, key=lambda log: log.duration)
-    return 1.0 if log.duration < HORIZON + 4.0 else _measured_gain(bench, model, terms, log)[0].ratio
+    if log.duration < LEAST or not (model.members or terms):
+        return 1.0
+    return _measured_gain(bench, model, terms, log)[0].ratio
 
 
 def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):

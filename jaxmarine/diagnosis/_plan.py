@@ -24,7 +24,7 @@ from ..logs import Log
 from ..physics import compose, small_turn, step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
-from ._diagnose import FEWEST_WINDOWS, SHORTEST, WINDOW
+from ._diagnose import window_length
 from ._model import base_coefficients
 from ._progress import Progress, silent
 from ._saturated import SaturatedPlant, saturate
@@ -372,6 +372,6 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         initial_state(vehicle.place(*causes), (0.0, 0.0, middle)),
         max(substeps(craft, DT, box.speed) for craft in crafts),
         # As a diagnosis of such a log: each window has an initial state of its own.
-        round(float(np.clip(duration / FEWEST_WINDOWS, SHORTEST, WINDOW)) / DT),
+        round(window_length(duration, DT) / DT),
         box,
     )

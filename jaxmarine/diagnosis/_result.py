@@ -22,6 +22,10 @@ class Parameter:
     unit: str
 
 
+def _label(effect: str, target: str | None) -> str:
+    return effect if target is None else f"{effect}:{target}"
+
+
 @dataclasses.dataclass(frozen=True)
 class Alternative:
     """Another cause that was weighed, with its own log evidence over the model without either."""
@@ -30,6 +34,10 @@ class Alternative:
     target: str | None
     log_evidence: float
     indistinguishable: bool
+
+    @property
+    def label(self) -> str:
+        return _label(self.effect, self.target)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +54,7 @@ class Finding:
 
     @property
     def label(self) -> str:
-        return self.effect if self.target is None else f"{self.effect}:{self.target}"
+        return _label(self.effect, self.target)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -81,22 +81,24 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     return max(1.0, float(np.median(_dispersions(stats, owns, known, precision))))
 
 
-def _projected(
-    stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Scores and information per window of each own column that says more than the known ones."""
+def _projected(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Each own column that says more than the known ones, less what they say of it."""
     h = stats.h.sum(0)
     x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
     combined = own - known @ x
-    information = np.einsum("wij,ik,jk->wk", stats.h, combined, combined, optimize=True)
-    usable = information.sum(0) > 1e-6 * np.einsum("ij,ik,kj->j", own, h, own, optimize=True) + 1e-12
-    return (stats.g @ combined)[:, usable], information[:, usable]
+    return combined[:, _information(h, combined) > 1e-6 * _information(h, own) + 1e-12]
+
+
+def _information(h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Of each column, by the information of all parameters, of one window or of several."""
+    return ((h @ columns) * columns).sum(-2)
 
 
 def _dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Variance of summed scores over information, of each own column that says more than the known ones."""
-    scores, information = _projected(stats, own, known, precision)
-    return len(scores) * scatter(scores) / information.sum(0)
+    combined = _projected(stats, own, known, precision)
+    scores = stats.g @ combined
+    return len(scores) * scatter(scores) / _information(stats.h.sum(0), combined)
 
 
 def _split(bench: Workbench, model: Model, where: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -118,7 +120,7 @@ def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice,
 
 def _windows_that_tell(bench: Workbench, model: Model, stats: Reduced, where: slice) -> float:
     """In how many windows a member shows: all, if it shows in all alike."""
-    _, information = _projected(stats, *_split(bench, model, where))
+    information = _information(stats.h, _projected(stats, *_split(bench, model, where)))
     share = (information / np.maximum(information.sum(0), 1e-300)).mean(axis=1) if information.size else [1.0]
     return 1.0 / float(np.square(share).sum())
 
@@ -236,14 +238,16 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
         )
         lost = lost[acts]
     least = needed(bench, trial.member, phi)
-    if trial.saved < least:
+    if trial.saved <= least:
         return False
+    if t_value(lost) > SIGMAS:
+        return True
     # What acts in few windows, as a saturation does, scatters by nature; then the same number of windows
     # with a scale of their own must not make it likely.
     where = bench.slices(trial.model.members)[-1]
     own = own_dispersion(bench, trial.model, after, where, 1.0)
     few = _windows_that_tell(bench, trial.model, after, where)
-    return bool(t_value(lost) > SIGMAS or few * np.log1p(trial.saved / (own * few)) > least / phi)
+    return bool(few * np.log1p(trial.saved / (own * few)) > least / phi)
 
 
 def search(

@@ -210,9 +210,9 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         if names != chosen and _better(results[names], gain):
             chosen, gain = names, results[names]
     if len(places.commanded) > 1:
-        drift = _drift(places.commanded, saved)
-        if _better(saved(drift), gain):
-            chosen, gain = drift, saved(drift)
+        drift, now = _drift(places.commanded, saved)
+        if _better(now, gain):
+            chosen, gain = drift, now
     tied = []
     for name in order:
         if name in chosen:
@@ -226,19 +226,23 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
     return chosen, gain, tuple(tied)
 
 
-def _drift(commands: tuple[str, ...], saved: Callable[[tuple[str, ...]], np.ndarray]) -> tuple[str, ...]:
-    """The time with the commands whose thrust drifts, if all of them may, without those that need not.
+def _drift(
+    commands: tuple[str, ...], saved: Callable[[tuple[str, ...]], np.ndarray]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """The time with the commands whose thrust drifts, without those that need not, and what it saves.
 
     A drift of all thrusters shows on none alone: what each misses hides what the others would save.
     """
     names = ("t", *commands)
-    while len(names) > 2 and saved(names).sum() > 0:
+    gain = saved(names)
+    while len(names) > 2 and gain.sum() > 0:
         fewer = [tuple(other for other in names if other != name) for name in names[1:]]
-        best = max(fewer, key=lambda less: saved(less).sum())
-        if _better(saved(names), saved(best)):
+        results = {less: saved(less) for less in fewer}
+        best = max(fewer, key=lambda less: results[less].sum())
+        if _better(gain, results[best]):
             break
-        names = best
-    return names
+        names, gain = best, results[best]
+    return names, gain
 
 
 def _better(new: np.ndarray, old: np.ndarray) -> bool:

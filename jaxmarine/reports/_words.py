@@ -6,7 +6,7 @@ All texts are plain; what stands between backticks is a name from a file. The pa
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from ..diagnosis._result import Alternative, Diagnosis, Finding
+from ..diagnosis._result import Diagnosis, Finding
 from ..effects import CATALOGUE
 from ..vehicle import Placed
 from ._causes import signal, title, what
@@ -52,15 +52,11 @@ def sureness(log_evidence: float) -> str:
 
 def rivals(finding: Finding, groups: Iterable[Sequence[str]]) -> tuple[str, ...]:
     """The labels of what the log cannot tell from the finding."""
-    found = [_label(other) for other in finding.alternatives if other.indistinguishable]
+    found = [other.label for other in finding.alternatives if other.indistinguishable]
     for group in groups:
         if finding.label in group:
             found += [label for label in group if label != finding.label]
     return tuple(dict.fromkeys(found))
-
-
-def _label(other: Alternative) -> str:
-    return other.effect if other.target is None else f"{other.effect}:{other.target}"
 
 
 def deciding(labels: Sequence[str]) -> str:
@@ -82,7 +78,7 @@ def next_best(finding: Finding) -> str:
     if not told_apart:
         return ""
     best = max(told_apart, key=lambda other: other.log_evidence)
-    return f"The next best, {title(_label(best))}, has a log evidence of {number(best.log_evidence)}."
+    return f"The next best, {title(best.label)}, has a log evidence of {number(best.log_evidence)}."
 
 
 def values(label: str, parameters: Mapping[str, float]) -> str:
