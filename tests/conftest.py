@@ -17,6 +17,15 @@ hypothesis.settings.load_profile("jaxmarine")
 
 ROOT = Path(__file__).resolve().parent.parent
 
+# Modules that diagnose the same vehicles: in one process, which compiles their programs once.
+DIAGNOSING = {"test_contradiction", "test_diagnosis", "test_hidden", "test_score", "test_unknown", "test_walk"}
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Tells `pytest --dist loadgroup` which tests go to one process: those of a module."""
+    module = item.path.stem
+    item.add_marker(pytest.mark.xdist_group("diagnosing" if module in DIAGNOSING else module))
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _forgotten() -> Iterator[None]:

@@ -1,19 +1,25 @@
 """The sums that decide a verdict, against dense least squares and against numbers worked by hand."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
+from jaxmarine.diagnosis._couplings import couplings
 from jaxmarine.diagnosis._diagnose import _workbench
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._score import Reduced, savings, step_with
+from jaxmarine.diagnosis._signals import Places
 from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
 from jaxmarine.fitting import Room, cut, noise_of
-from jaxmarine.vehicle import Placed
+from jaxmarine.simulation import initial_state
+from jaxmarine.vehicle import Damping, Placed, inverse_dynamics
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle
 from tests.boats import boat, record, steps
 
 WINDOWS, ROWS, KNOWN, OWN = 12, 30, 3, 2
@@ -188,3 +194,38 @@ def test_what_the_programs_have_no_room_for_is_said():
     often = craft.place(*(Placed(half, "port", since) for since in (4.0, 8.0, 12.0, 16.0)))
     with pytest.raises(InputError, match="begin at 4 times within these logs; a diagnosis has room for 3"):
         _workbench(often, logs[:1], (ThrusterGain,), 1.5).stretches(())
+
+
+def test_couplings_are_what_inverse_dynamics_asks_for_where_they_are_doubled():
+    """All terms off the diagonals together; velocities change evenly, so that the differences are exact."""
+    vehicle = load_vehicle(packaged_vehicle("tethra"))
+    rng = np.random.default_rng(0)
+    t = np.arange(5) * 0.5
+    nu_dot = rng.normal(size=(2, 1, 6))
+    nu = rng.normal(size=(2, 1, 6)) + nu_dot * t[:, None]
+    where = Places(np.tile(t, (2, 1)), np.zeros(2, int), np.tile(np.eye(3), (2, 5, 1, 1)), nu, {}, {})
+    found = couplings(vehicle, where)
+
+    def doubled(matrix):
+        return 2 * matrix - jnp.diag(jnp.diag(matrix))
+
+    more = dataclasses.replace(
+        vehicle,
+        added_mass=doubled(vehicle.added_mass),
+        damping=Damping(doubled(vehicle.damping.linear), doubled(vehicle.damping.quadratic)),
+    )
+    start = initial_state(vehicle)
+    for window in range(2):
+        for knot in range(5):
+            state = dataclasses.replace(start, velocity=jnp.asarray(nu[window, knot]))
+            asked = [inverse_dynamics(v, state, jnp.asarray(nu_dot[window, 0]), 0.0) for v in (more, vehicle)]
+            # Rounding of forces of some thousand newtons.
+            np.testing.assert_allclose(found[window, knot].sum(-1), asked[0] - asked[1], atol=1e-9)
+    assert found.shape[-1] == sum(
+        np.count_nonzero(np.triu(m, 1) if symmetric else m - np.diag(np.diag(m)))
+        for m, symmetric in (
+            (np.asarray(vehicle.added_mass), True),
+            (np.asarray(vehicle.damping.linear), False),
+            (np.asarray(vehicle.damping.quadratic), False),
+        )
+    )

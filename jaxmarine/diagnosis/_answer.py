@@ -7,8 +7,9 @@ import numpy as np
 
 from ..effects import place
 from ..vehicle import Damping, Placed, Vehicle
+from ._couplings import couplings
 from ._judge import Judged
-from ._model import Member, Model, Workbench
+from ._model import FILE_ERROR, Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import scatter, solve
 from ._search import ROUGH, STEPS, Round, penalty, putting_back
@@ -47,8 +48,12 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     return vehicle.place(*placed) if placed else vehicle
 
 
-def _covariance(bench: Workbench, now: Judged) -> np.ndarray:
-    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half."""
+def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
+    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half.
+
+    Where the file is a little wrong everywhere (`dense`), what its coupling terms, which stay as filed, may
+    be off by is added, as of parameters that are considered but not estimated (Schmidt 1966).
+    """
     known, precision, _ = bench.known(now.model)
     g = now.stats.g @ known
     h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
@@ -57,13 +62,25 @@ def _covariance(bench: Workbench, now: Judged) -> np.ndarray:
     scatter_std = np.sqrt(len(g) * scatter(g @ inverse))
     ratio = scatter_std / np.maximum(model_std, 1e-300)
     factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
-    return inverse * np.outer(factor, factor)
+    covariance = inverse * np.outer(factor, factor)
+    if dense:
+        values = couplings(bench.vehicle, now.knots.places)
+        both, n = now.knots.wrench(values).h.sum(0), len(h)
+        shift = _wrong_by(bench, now.model) * inverse @ both[:n, n:]
+        covariance = covariance + shift @ shift.T
+    return covariance
 
 
-def findings_of(bench: Workbench, now: Judged, rounds: Sequence[Round]) -> tuple[Finding, ...]:
+def _wrong_by(bench: Workbench, model: Model) -> float:
+    """By what share the coefficients of the file are off: the spread of those that were recalibrated."""
+    shares = [abs(z) / c.prior for c, z in zip(bench.base, model.z, strict=False) if c.value]
+    return FILE_ERROR * max(1.0, 1.48 * float(np.median(shares)) if shares else 0.0)
+
+
+def findings_of(bench: Workbench, now: Judged, rounds: Sequence[Round], dense: bool) -> tuple[Finding, ...]:
     """Each member with its parameters, its evidence beside the others, and what else it could be."""
     model, phi = now.model, now.phi
-    std = np.sqrt(np.diag(_covariance(bench, now)))
+    std = np.sqrt(np.diag(_covariance(bench, now, dense)))
     named = {member.suspect for member in model.members}
     out = []
     for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
@@ -150,7 +167,7 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
 
 def recalibrated(bench: Workbench, now: Judged) -> tuple[Recalibrated, ...]:
     """The file's coefficients that no member stands for, with what they were refitted to."""
-    std = np.sqrt(np.diag(_covariance(bench, now)))
+    std = np.sqrt(np.diag(_covariance(bench, now, dense=True)))
     taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
     return tuple(
         Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)

@@ -146,7 +146,7 @@ def diagnose(
         notes.append(
             f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
         )
-    findings = findings_of(bench, now, found.rounds) + tuple(
+    findings = findings_of(bench, now, found.rounds, dense) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
     if dense:
