@@ -24,6 +24,9 @@ from ._types import CHANNELS, DOFS, WRENCH
 _UNIT_LENGTH = 1e-9
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
+# Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
+# numbers stay finite.
+_ABSURD = 1e18
 _RESERVED = ("t", "all", *CHANNELS, *WRENCH)
 
 
@@ -37,6 +40,8 @@ def _number(value: Any) -> Any:
         number = math.inf
     if not math.isfinite(number):
         raise ValueError(f"must be a finite number, but is {value!r:.60}.")
+    if abs(number) > _ABSURD:
+        raise ValueError(f"must be in SI units, where no vehicle has {value!r:.60}.")
     return number
 
 

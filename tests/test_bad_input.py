@@ -127,7 +127,7 @@ BAD_FILES = {
     "no gzip": ("bad.csv.gz", GOOD.encode(), "cannot be read as a .csv.gz file"),
     "half a gzip": ("bad.csv.gz", b"\x1f\x8b\x08\x00\x00", "cannot be read as a .csv.gz file"),
     "no parquet": ("bad.parquet", GOOD.encode(), "cannot be read as a .parquet file"),
-    "other format": ("bad.mat", b"", "does not end in .csv, .csv.gz, .parquet"),
+    "other format": ("bad.xls", b"", "does not end in .csv, .csv.gz, .parquet"),
 }
 
 
@@ -222,6 +222,7 @@ BAD_VEHICLES = {
     "mass infinite": ("mass = 2.0", "mass = inf", "`body.mass` must be a finite number"),
     "mass nan": ("mass = 2.0", "mass = nan", "`body.mass` must be a finite number"),
     "mass beyond all": ("mass = 2.0", f"mass = 1{'0' * 400}", "`body.mass` must be a finite"),
+    "mass absurd": ("mass = 2.0", "mass = 1e200", "`body.mass` must be in SI units, where no vehicle has"),
     "unending digits": ("mass = 2.0", f"mass = 1{'0' * 5000}", "too many digits"),
     "no inertia": (f"inertia = {INERTIA}", "", "`body` lacks `inertia`"),
     "inertia not positive": ("[0.0, 6.0, 0.0]", "[0.0, -6.0, 0.0]", "must be positive definite"),
