@@ -18,7 +18,7 @@ hypothesis.settings.load_profile("jaxmarine")
 ROOT = Path(__file__).resolve().parent.parent
 
 # Modules that diagnose the same vehicles: in one process, which compiles their programs once.
-DIAGNOSING = {"test_contradiction", "test_diagnosis", "test_hidden", "test_score", "test_unknown", "test_walk"}
+DIAGNOSING = {f"test_{name}" for name in ("contradiction", "diagnosis", "hidden", "score", "unknown", "walk")}
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
