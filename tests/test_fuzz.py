@@ -1,4 +1,4 @@
-"""Files spoilt at random: the command line ends with 0, or with 2 and a sentence, and writes all or nothing."""
+"""Files spoilt at random: the command line ends with 0, or with 2 and a sentence, and never writes half."""
 
 import os
 import re
