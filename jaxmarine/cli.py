@@ -28,13 +28,13 @@ TrainOption = Annotated[
     list[Path],
     typer.Option(
         "--train",
-        help="Training log (CSV or Parquet); repeat in order of time.",
+        help="Training log (CSV, Parquet, bag, ...); repeat in order of time.",
         show_default=False,
     ),
 ]
 ColumnsOption = Annotated[
     Path | None,
-    typer.Option("--columns", help="Column map: where the file keeps each column (TOML)."),
+    typer.Option("--columns", help="Column map: where the recording keeps each column (TOML)."),
 ]
 
 
@@ -272,7 +272,7 @@ def check(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Log (CSV or Parquet); several in order of time.", metavar="LOG", show_default=False
+            help="Log (CSV, Parquet, bag, ...); several in order of time.", metavar="LOG", show_default=False
         ),
     ],
     vehicle: VehicleOption,

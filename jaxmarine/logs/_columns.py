@@ -1,17 +1,48 @@
-"""How the columns of a foreign file map to those of the contract."""
+"""How the columns, topics or messages of a foreign file map to the columns of the contract."""
 
 import os
-from typing import Annotated, Any
+from collections.abc import Collection, Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
 from pydantic import Field
 
-from .._files import read_toml, validated
+from .._errors import InputError
+from .._files import did_you_mean, read_toml, validated
+from .._types import ATTITUDE, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
+
+# What one unit of a foreign file is in the contract's.
+_UNITS = {
+    "deg": np.pi / 180,
+    "deg/s": np.pi / 180,
+    "km": 1e3,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "cm/s": 1e-2,
+    "mm/s": 1e-3,
+    "kn": 1852 / 3600,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+}
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+GEODETIC = ("latitude", "longitude", "altitude")
+# A vector or quaternion in one line: its parts carry the path with one of these names behind it.
+_GROUPS = {
+    "position": dict(zip(POSITION, "xyz", strict=True)),
+    "attitude": dict(zip(QUATERNION, "wxyz", strict=True)),
+    "velocity": dict(zip(VELOCITY, "xyz", strict=True)),
+    "rate": dict(zip(RATE, "xyz", strict=True)),
+}
+
+# Two ways to give the same quantity, of which a map takes one.
+_SAME = ((QUATERNION, ATTITUDE), (GEODETIC[:2], POSITION[:2]), (GEODETIC[2:], POSITION[2:]))
 
 
 class ColumnSource(pydantic.BaseModel):
-    """Where one contract column comes from: value = scale * file's number + offset."""
+    """Where one contract column comes from: value = scale * unit * file's number + offset."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -20,6 +51,10 @@ class ColumnSource(pydantic.BaseModel):
         default=1.0, strict=True, allow_inf_nan=False, description="a finite number other than zero"
     )
     offset: float = Field(default=0.0, strict=True, allow_inf_nan=False, description="a finite number")
+    unit: str | None = Field(default=None, description="one of " + ", ".join(_UNITS))
+    clock: "_Source | None" = Field(
+        default=None, description="the name of the column with its times, or {from = ..., scale = ...}"
+    )
 
     @pydantic.field_validator("scale")
     @classmethod
@@ -28,9 +63,16 @@ class ColumnSource(pydantic.BaseModel):
             raise ValueError("must not be zero; leave the column out if it is not measured.")
         return scale
 
+    @pydantic.field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str | None) -> str | None:
+        if unit is not None and unit not in _UNITS:
+            raise ValueError(f"is {unit!r}, which is no unit of a map; {did_you_mean(unit, _UNITS)}")
+        return unit
+
     def __call__(self, raw: np.ndarray) -> np.ndarray:
         """The contract's values of the file's."""
-        return self.scale * raw + self.offset
+        return self.scale * _UNITS.get(self.unit or "", 1.0) * raw + self.offset
 
 
 def _from_name(source: Any) -> Any:
@@ -38,10 +80,40 @@ def _from_name(source: Any) -> Any:
 
 
 _Source = Annotated[ColumnSource, pydantic.BeforeValidator(_from_name)]
+ColumnSource.model_rebuild()
+
+
+class Frame(pydantic.BaseModel):
+    """Axes that the file's vectors and attitudes are given in."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    world: Literal["ned", "enu"] = Field(
+        default="ned", description='"ned" (north, east, down) or "enu" (east, north, up)'
+    )
+    body: Literal["frd", "flu"] = Field(
+        default="frd", description='"frd" (forward, right, down) or "flu" (forward, left, up)'
+    )
+    velocity: Literal["body", "world"] = Field(
+        default="body", description='"body" or "world": the axes along which u v w are given'
+    )
+
+
+class Clock(pydantic.BaseModel):
+    """Times of messages, and the spacing of the log's samples [s]."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    stamp: Literal["header", "bag"] = Field(
+        default="header", description='"header" (when it was measured) or "bag" (when it was recorded)'
+    )
+    dt: float | None = Field(
+        default=None, gt=0, strict=True, allow_inf_nan=False, description="a positive number [s]"
+    )
 
 
 class ColumnMap(pydantic.BaseModel):
-    """The `[columns]` of a MAP.toml: per contract name, the file's own name and its units."""
+    """A MAP.toml: per contract name, the file's own name and its units; its frames and its clock."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -49,6 +121,55 @@ class ColumnMap(pydantic.BaseModel):
         description="a table [columns] with, per contract name, the file's own name or "
         '{from = "...", scale = ..., offset = ...}'
     )
+    frame: Frame = Field(default=Frame(), description="a table [frame]")
+    time: Clock = Field(default=Clock(), description="a table [time]")
+
+    def sources(self, path: object, thrusters: Sequence[str]) -> dict[str, ColumnSource]:
+        """Where each contract column, quaternion part or geodetic coordinate comes from.
+
+        Raises `InputError` that begins with `path` for a name that is none of them.
+        """
+        known = ("t", *CHANNELS, *thrusters, *WRENCH, *_GROUPS, *QUATERNION, *GEODETIC)
+        found: dict[str, ColumnSource] = {}
+        for name, source in self.columns.items():
+            if name not in known:
+                raise InputError(
+                    f"{path}: the column map gives `{name}`, which is no column of a log; "
+                    f"{did_you_mean(name, known)}"
+                )
+            # a thruster may be called `rate`, and is then meant
+            parts = {} if name in thrusters else _GROUPS.get(name, {})
+            given = {
+                part: source.model_copy(update={"source": f"{source.source}.{end}"})
+                for part, end in parts.items()
+            } or {name: source}
+            twice = [part for part in given if part in found]
+            if twice:
+                raise InputError(f"{path}: the column map gives `{twice[0]}` twice; keep one.")
+            found |= given
+        for one, other in _SAME:
+            both = [name for names in (one, other) for name in names if name in found]
+            if both and both[0] in one and both[-1] in other:
+                raise InputError(
+                    f"{path}: the column map gives both `{both[0]}` and `{both[-1]}`, which measure the "
+                    "same; keep one."
+                )
+        return found
+
+    @property
+    def keeps_rows(self) -> bool:
+        """Whether the rows of a table stay: no column has a clock of its own, no spacing is asked for."""
+        return self.time.dt is None and not any(source.clock for source in self.columns.values())
+
+    @property
+    def keeps_axes(self) -> bool:
+        """Whether every column is one of the contract's, in its axes."""
+        return self.frame == Frame() and not {*_GROUPS, *QUATERNION, *GEODETIC} & {*self.columns}
+
+
+def replaced(names: Collection[str]) -> set[str]:
+    """The channels that quaternions or geodetic coordinates among some names stand for."""
+    return {name for one, other in _SAME for name in other if {*one} & {*names}}
 
 
 def read_columns(path: str | os.PathLike[str]) -> ColumnMap:

@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 
 from .._errors import InputError
-from .._files import did_you_mean
 from .._types import ATTITUDE, CHANNELS, WRENCH
-from ._columns import ColumnMap, ColumnSource, read_columns
+from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
-from ._table import numbers, place, read_table, write_table
+from ._mapped import MappedFile, open_mapped
+from ._table import write_table
 
 # Fewer samples than this hold no window that could be compared with a simulation.
 _MIN_ROWS = 10
@@ -22,24 +22,25 @@ _MIN_ROWS = 10
 # commands beyond the limit by less than this share are set to the limit, with a note.
 _ROUNDING = 1e-3
 
-# Beyond any quantity of a vehicle in SI units: times in nanoseconds, sentinels such as 1e38.
-_ABSURD = 1e12
-
 
 def read_log(
-    path: str | os.PathLike[str],
+    source: str | os.PathLike[str] | pd.DataFrame,
     vehicle: Craft,
     columns: str | os.PathLike[str] | ColumnMap | None = None,
 ) -> Log:
-    """Read a CSV (also .csv.gz) or Parquet file and check that `vehicle` can have driven it.
+    """Read a recording and check that `vehicle` can have driven it.
 
-    `columns` maps a foreign file's columns to those of the contract: a `ColumnMap` or the path of
-    its TOML file. What is ignored or repaired stands in the log's `notes`; what cannot be used
-    raises `InputError` with one sentence.
+    - `source`: a CSV (also .csv.gz), Parquet or MATLAB file, a data frame of pandas, a ROS 1 bag, a ROS 2 bag
+      (its folder, .db3 or .mcap), a DataFlash log (.BIN) or MAVLink telemetry (.tlog).
+    - `columns`: where a foreign file keeps the columns of the contract, in which units and axes: a
+      `ColumnMap` or the path of its TOML file. What holds messages needs one.
+
+    What is ignored or repaired stands in the log's `notes`; what cannot be used raises `InputError` with one
+    sentence.
     """
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_columns(columns)
-    file = _MappedFile(path, vehicle.command_names, columns)
+    file = open_mapped(source, vehicle, columns)
     t = _time(file)
     channels = np.full((len(t), len(CHANNELS)), np.nan)
     for index, name in enumerate(CHANNELS):
@@ -54,7 +55,7 @@ def read_log(
         commands=commands,
         wrench=wrench,
         thrusters=tuple(vehicle.command_names),
-        name=Path(path).name,
+        name="DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name,
         notes=tuple(file.notes),
     )
 
@@ -70,78 +71,7 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     write_table(pd.DataFrame(data), path)
 
 
-class _MappedFile:
-    """The file's columns under their names in the contract, and what there is to say of them."""
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        thrusters: Sequence[str],
-        columns: ColumnMap | None,
-    ):
-        self.path = path
-        self.notes: list[str] = []
-        self._table = read_table(path)
-        self._known = ("t", *CHANNELS, *thrusters, *WRENCH)
-        mapped = {} if columns is None else dict(columns.columns)
-        for name, source in mapped.items():
-            if name not in self._known:
-                raise InputError(
-                    f"{path}: the column map gives `{name}`, which is no column of a log; "
-                    f"{did_you_mean(name, self._known)}"
-                )
-            if source.source not in self._table:
-                raise InputError(
-                    f"{path}: has no column `{source.source}`, which the column map names for "
-                    f"`{name}`; {did_you_mean(source.source, self.file_names)}"
-                )
-        # A file's column that the map claims does not serve under its own name as well.
-        claimed = {source.source for source in mapped.values()}
-        own = {
-            name: ColumnSource.model_validate({"from": name})
-            for name in self._known
-            if name in self._table and name not in claimed and name not in mapped
-        }
-        self._sources = mapped | own
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._sources
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """A contract column [rows], in the contract's units."""
-        source = self._sources[name]
-        values = source(numbers(self._table, source.source, self.path))
-        absurd = np.flatnonzero(np.abs(values) > _ABSURD)
-        if len(absurd):
-            row = int(absurd[0])
-            raise InputError(
-                f"{self.path}: column {self.label(name)} is {values[row]:.6g} in {place(row)}, "
-                "which no sensor measures; check its unit, and leave the cell empty where a "
-                "sample is missing."
-            )
-        return values
-
-    @property
-    def file_names(self) -> list[str]:
-        return [str(name) for name in self._table.columns if name]
-
-    def label(self, name: str) -> str:
-        """A column as the user knows it."""
-        source = self._sources[name].source
-        return f"`{name}`" if source == name else f"`{name}` (`{source}` in the file)"
-
-    def missing(self, names: Iterable[str]) -> tuple[str, ...]:
-        return tuple(name for name in names if name not in self)
-
-    def note_ignored(self) -> None:
-        used = {source.source for source in self._sources.values()}
-        ignored = [f"`{name}`" for name in self.file_names if name not in used]
-        if ignored:
-            few = ", ".join(ignored[:20]) + (", ..." if len(ignored) > 20 else "")
-            self.notes.append(f"Columns that nothing knows are ignored: {few}.")
-
-
-def _time(file: _MappedFile) -> np.ndarray:
+def _time(file: MappedFile) -> np.ndarray:
     if "t" not in file:
         raise InputError(
             f"{file.path}: has no column `t` (time in seconds); rename it, or map it by a column "
@@ -156,7 +86,7 @@ def _time(file: _MappedFile) -> np.ndarray:
     empty = np.flatnonzero(np.isnan(t))
     if len(empty):
         raise InputError(
-            f"{file.path}: column {file.label('t')} is empty in {place(int(empty[0]))}; "
+            f"{file.path}: column {file.label('t')} is empty in {file.place(int(empty[0]))}; "
             "give every row a time."
         )
     back = np.flatnonzero(np.diff(t) <= 0)
@@ -165,13 +95,13 @@ def _time(file: _MappedFile) -> np.ndarray:
         # all digits, as times that look alike may differ in the last one
         raise InputError(
             f"{file.path}: time {file.label('t')} must strictly increase, but is "
-            f"{float(t[row])!r} s in {place(row)}, after {float(t[row - 1])!r} s; sort the rows "
+            f"{float(t[row])!r} s in {file.place(row)}, after {float(t[row - 1])!r} s; sort the rows "
             "and remove repeated ones."
         )
     return t
 
 
-def _check_motion(file: _MappedFile, channels: np.ndarray, dof: Sequence[str]) -> None:
+def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) -> None:
     """The free degrees of freedom are seen by position with attitude, or by velocity."""
     finite = np.isfinite(channels)
     seen = {name for index, name in enumerate(CHANNELS) if finite[:, index].any()}
@@ -197,7 +127,7 @@ def _check_motion(file: _MappedFile, channels: np.ndarray, dof: Sequence[str]) -
             file.notes.append(f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?")
 
 
-def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _drive(file: MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:
     """The commands, or else the wrench, without gaps."""
     thrusters, wrench = vehicle.command_names, free_wrench(vehicle.dof)
     given = [name for name in WRENCH if name in file]
@@ -226,7 +156,7 @@ def _drive(file: _MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.nda
     )
 
 
-def _commands(file: _MappedFile, vehicle: Craft) -> np.ndarray:
+def _commands(file: MappedFile, vehicle: Craft) -> np.ndarray:
     columns = []
     for name, limit in zip(vehicle.command_names, vehicle.command_limits, strict=True):
         command = _held(file, name)
@@ -234,7 +164,7 @@ def _commands(file: _MappedFile, vehicle: Craft) -> np.ndarray:
         if len(beyond):
             row = int(beyond[0])
             raise InputError(
-                f"{file.path}: command {file.label(name)} is {command[row]:.6g} in {place(row)} "
+                f"{file.path}: command {file.label(name)} is {command[row]:.6g} in {file.place(row)} "
                 f"(t = {file['t'][row]:.6g} s), outside [{-limit:g}, {limit:g}]; scale it by a "
                 "column map, or correct the row."
             )
@@ -247,7 +177,7 @@ def _commands(file: _MappedFile, vehicle: Craft) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def _held(file: _MappedFile, name: str) -> np.ndarray:
+def _held(file: MappedFile, name: str) -> np.ndarray:
     """A command whose empty cells hold the last value, zero before the first."""
     values = file[name]
     empty = np.isnan(values)

@@ -4,7 +4,9 @@ import decimal
 import os
 import warnings
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -13,15 +15,25 @@ import pyarrow.parquet
 
 from .._errors import InputError
 from .._files import existing_file, written_whole
+from ._sources import read_matlab
 
-_FORMATS = (".csv", ".csv.gz", ".parquet")
+_WRITTEN = (".csv", ".csv.gz", ".parquet")
+_READ = (*_WRITTEN, ".mat")
+
+# Columns by their names, of one length, or of several in a MATLAB file.
+Table: TypeAlias = Mapping[str, pd.Series]
 
 
-def read_table(path: str | os.PathLike[str]) -> pd.DataFrame:
-    """The columns of a CSV or Parquet file, names stripped and each there once."""
-    path = existing_file(path)
+def read_table(source: str | os.PathLike[str] | pd.DataFrame) -> Table:
+    """The columns of a data frame or of a CSV, Parquet or MATLAB file, names stripped and each there once."""
+    if isinstance(source, pd.DataFrame):
+        return _of_frame(source, "DataFrame")
+    path = existing_file(source)
+    kind = _format(path, _READ)
+    if kind == ".mat":
+        return read_matlab(path)
     try:
-        table = _read_parquet(path) if _format(path) == ".parquet" else _read_csv(path)
+        return _read_parquet(path) if kind == ".parquet" else _read_csv(path, kind)
     except InputError:
         raise
     except UnicodeDecodeError as error:
@@ -30,14 +42,13 @@ def read_table(path: str | os.PathLike[str]) -> pd.DataFrame:
         # pandas' own parser errors are ValueErrors that name the line
         reason = " ".join(str(error).removeprefix("Error tokenizing data. C error: ").split())
         raise InputError(
-            f"{path}: cannot be read as a {_format(path)} file ({reason}); correct or export it again."
+            f"{path}: cannot be read as a {kind} file ({reason}); correct or export it again."
         ) from error
-    return table
 
 
 def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
     """Write what `read_table` reads; numbers keep all their digits."""
-    kind = _format(Path(path))
+    kind = _format(Path(path), _WRITTEN)
     with written_whole(path) as beside:
         if kind == ".parquet":
             table.to_parquet(beside, index=False)
@@ -45,7 +56,7 @@ def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
             table.to_csv(beside, index=False)
 
 
-def numbers(table: pd.DataFrame, column: str, path: str | os.PathLike[str]) -> np.ndarray:
+def numbers(table: Table, column: str, path: object) -> np.ndarray:
     """A column as float64 [rows], NaN where a cell is empty."""
     cells = table[column]
     if pd.api.types.is_numeric_dtype(cells.dtype) and cells.dtype != bool:
@@ -68,7 +79,7 @@ def place(row: int) -> str:
     return f"data row {row + 1}"
 
 
-def _number(cell: object, column: str, row: int, path: str | os.PathLike[str]) -> float:
+def _number(cell: object, column: str, row: int, path: object) -> float:
     try:
         if isinstance(cell, str | int | float | decimal.Decimal) and not isinstance(cell, bool):
             return float(cell)
@@ -80,19 +91,20 @@ def _number(cell: object, column: str, row: int, path: str | os.PathLike[str]) -
     )
 
 
-def _format(path: Path) -> str:
-    for suffix in _FORMATS:
+def _format(path: Path, formats: tuple[str, ...]) -> str:
+    for suffix in formats:
         if path.name.lower().endswith(suffix):
             return suffix
+    others = ", .bag, .db3, .mcap, .bin or .tlog" if formats == _READ else ""
     raise InputError(
-        f"{path}: has a name that does not end in {', '.join(_FORMATS)}; a log is a CSV or a Parquet file."
+        f"{path}: has a name that does not end in {', '.join(formats)}{others}; give it that of its format."
     )
 
 
-def _read_csv(path: Path) -> pd.DataFrame:
+def _read_csv(path: Path, kind: str) -> Table:
     # Names and numbers are read apart: pandas would rename a column that is there twice, and would
     # take the first column for row labels where the rows are one cell longer than the header.
-    compression = "gzip" if _format(path) == ".csv.gz" else None
+    compression = "gzip" if kind == ".csv.gz" else None
     try:
         header = pd.read_csv(
             path,
@@ -129,22 +141,25 @@ def _read_csv(path: Path) -> pd.DataFrame:
             "check the separators of the first two lines."
         )
     table.columns = names
-    return table
+    return _of_frame(table, path)
 
 
-def _read_parquet(path: Path) -> pd.DataFrame:
+def _read_parquet(path: Path) -> Table:
     names = pyarrow.parquet.read_schema(path).names
     if not names:
         raise InputError(f"{path}: is empty; a log has columns with names, and rows.")
     _checked_names(names, path)
-    table = pyarrow.parquet.read_table(path).to_pandas()
+    return _of_frame(pyarrow.parquet.read_table(path).to_pandas(), path)
+
+
+def _of_frame(frame: pd.DataFrame, path: object) -> Table:
     # a time that somebody made the row label is a column all the same
-    table = table.reset_index() if table.index.name is not None else table
-    table.columns = [str(name).strip() for name in table.columns]
-    return table
+    frame = frame.reset_index() if frame.index.name is not None else frame
+    names = _checked_names([str(name) for name in frame.columns], path)
+    return {name: frame.iloc[:, index] for index, name in enumerate(names)}
 
 
-def _checked_names(names: list[str], path: Path) -> list[str]:
+def _checked_names(names: list[str], path: object) -> list[str]:
     names = [name.strip() for name in names]
     for name in names:
         if name and names.count(name) > 1:
