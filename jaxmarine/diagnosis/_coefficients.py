@@ -6,10 +6,12 @@ import numpy as np
 
 from ._model import Member, Model, Workbench
 from ._score import solve, t_value
-from ._search import SIGMAS, needed, putting_back
+from ._search import NEARLY, SIGMAS, Round, Trial, needed, penalty, putting_back, weigh
 
 # More coefficients than this being off means a file that is a little wrong everywhere.
 FEW = 2
+# A refit with coefficients put back that ends above this many times the cost before may have gone astray.
+ASTRAY = 2.0
 
 
 def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
@@ -46,24 +48,56 @@ def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
     return chosen
 
 
-def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool]:
+def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tuple[Round, ...]]:
     """The model with its few wrong coefficients as members and all others at the file's value.
 
-    Or, where many have moved together, the model as it is: a recalibrated file. Returns which.
+    Or, where many have moved together, the model as it is: a recalibrated file. Returns which, and what was
+    weighed in the place of each wrong coefficient.
     """
     chosen = _needed_changes(bench, model, phi)
     suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
     if len(chosen) > FEW:
-        return model, True
+        return model, True, ()
     z = model.z.copy()
     frozen = bench.frozen(dataclasses.replace(model, z=z))
     for j in chosen:
         frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), z[j : j + 1])
     frozen.z[: len(bench.base)] = 0.0
-    frozen = bench.refine(frozen)
+    frozen = _refitted(bench, frozen, model.cost)
     for i in reversed(range(len(model.members), len(frozen.members))):
         lost = putting_back(bench, frozen, bench.screen(frozen), bench.slices(frozen.members)[i])
         if t_value(lost) < SIGMAS:
             # A few windows pulled it there.
-            frozen = bench.refine(bench.without_member(frozen, i))
-    return frozen, False
+            frozen = _refitted(bench, bench.without_member(frozen, i), frozen.cost)
+    rounds = []
+    for member in frozen.members[len(model.members) :]:
+        frozen, trials = _instead(bench, frozen, member, phi)
+        rounds.append(Round(trials, True, phi))
+    return frozen, False, tuple(rounds)
+
+
+def _refitted(bench: Workbench, model: Model, before: float) -> Model:
+    """The model refined; from neutral members too where what they had bent to is far from any use."""
+    fitted = bench.refine(model)
+    if fitted.cost > ASTRAY * before:
+        anew = dataclasses.replace(bench.as_filed(model), z=np.zeros_like(model.z))
+        fitted = min(fitted, bench.refine(anew), key=lambda m: m.cost)
+    return fitted
+
+
+def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tuple[Model, tuple[Trial, ...]]:
+    """The model with what explains more in the place of a wrong coefficient, and all that was weighed there.
+
+    During the search the coefficient could bend to what another cause does, so that none was needed.
+    """
+    less = bench.refine(bench.without_member(model, model.members.index(member)))
+    own = Trial(member, model, 2 * (less.cost - model.cost))
+    trials = [own]
+    for trial in weigh(bench, less, bench.screen(less)):
+        if trial.member.suspect != member.suspect:
+            near = trial.saved > NEARLY * own.saved
+            exact = bench.refine(trial.model) if near else trial.model
+            trials.append(Trial(trial.member, exact, 2 * (less.cost - exact.cost)))
+    trials.sort(key=lambda t: penalty(bench, t.member) - t.saved / phi)
+    best = next(t for t in trials if t is own or bench.sound(t.model))
+    return best.model, (best, *(t for t in trials if t is not best))

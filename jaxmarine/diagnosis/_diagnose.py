@@ -105,11 +105,12 @@ def diagnose(
     base = bench.refine(begun)
     rival = _Unnamed(bench)
     found = search(bench, base, progress, rival.better)
+    rounds = found.rounds
     if rival.better(found.model):
         now, unknown, dense = rival.judged, rival.dependences, False
     else:
         progress("settling what was found")
-        model, dense = _settled(bench, found)
+        model, dense, rounds = _settled(bench, found)
         now, unknown = _with_unknown(bench, judged(bench, model), dense, progress)
         rest, share = _left_over(bench, now, unknown), WITH_UNKNOWN if unknown else ALONE
         if (now.model.members or dense) and not now.white and rival.leaves_less(rest, share):
@@ -146,7 +147,7 @@ def diagnose(
         notes.append(
             f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
         )
-    findings = findings_of(bench, now, found.rounds, dense) + tuple(
+    findings = findings_of(bench, now, rounds, dense) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
     if dense:
@@ -380,13 +381,17 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     return model
 
 
-def _settled(bench: Workbench, found: Found) -> tuple[Model, bool]:
-    """What the search found, without what is not needed, and whether the whole file was recalibrated."""
+def _settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, ...]]:
+    """What the search found, without what is not needed, and whether the whole file was recalibrated.
+
+    And all that was weighed, in the search and in the place of single coefficients.
+    """
     phi = dispersion(bench, found.model, found.stats)
-    model, dense = settle(bench, _pruned(bench, found.model), phi)
+    model, dense, more = settle(bench, _pruned(bench, found.model), phi)
     model = _beginnings_refined(bench, model)
     phi = dispersion(bench, model, bench.screen(model))
-    return _pruned(bench, _reweighed(bench, model, found.rounds, phi)), dense
+    rounds = found.rounds + more
+    return _pruned(bench, _reweighed(bench, model, rounds, phi)), dense, rounds
 
 
 # --- what is unknown -----------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._progress import Progress
+from ._progress import Progress, silent
 from ._score import Reduced, savings, scatter, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
@@ -250,6 +250,22 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
     return bool(few * np.log1p(trial.saved / (own * few)) > least / phi)
 
 
+def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
+    """The most promising suspects, each refitted beside what the model has, the best by evidence first."""
+    progress(f"{len(bench.layout.suspects)} suspects")
+    ranked, begun = shortlist(bench, model, stats)
+    always = [member for member in ranked if member.since is None][:SHORTLIST]
+    late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
+    trials = _trials(bench, model, [(member, None) for member in (*always, *late)])
+    trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
+    best = max([t.saved for t in trials], default=0.0)
+    # Where there is none, the file's coefficients bent until they mean nothing, perhaps to what has no slope.
+    if best > PROBED or not trials:
+        progress("refitting the best suspects")
+        trials += _trials(bench, model, probes(bench, model, best))
+    return sorted(trials, key=lambda t: penalty(bench, t.member) - t.saved)
+
+
 def search(
     bench: Workbench,
     model: Model,
@@ -263,17 +279,7 @@ def search(
     stats = bench.screen(model)
     rounds: list[Round] = []
     while len(model.members) < MOST:
-        progress(f"round {len(rounds) + 1}: {len(bench.layout.suspects)} suspects")
-        ranked, begun = shortlist(bench, model, stats)
-        always = [member for member in ranked if member.since is None][:SHORTLIST]
-        late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
-        trials = _trials(bench, model, [(member, None) for member in (*always, *late)])
-        trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
-        best = max([t.saved for t in trials], default=0.0)
-        if best > PROBED:
-            progress(f"round {len(rounds) + 1}: refitting the best suspects")
-            trials += _trials(bench, model, probes(bench, model, best))
-        trials.sort(key=lambda t: penalty(bench, t.member) - t.saved)
+        trials = weigh(bench, model, stats, lambda words: progress(f"round {len(rounds) + 1}: {words}"))
         if not trials:
             break
         # The best may rest on a few windows, as one does that acts throughout in the place of one that
