@@ -1,6 +1,7 @@
 """From the settled model to the answer: extended vehicle, findings, what could not be told apart."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,19 +41,29 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     placed = []
     for member, where in zip(model.members, bench.slices(model.members), strict=True):
         suspect = bench.layout.suspects[member.suspect]
-        values = bench.layout.neutral_of(member.suspect) + model.z[where]
-        effect = place(suspect, vehicle, dict(zip(suspect.slots, values.tolist(), strict=True)))
+        effect = place(suspect, vehicle, _stated(bench, member, model.z[where]))
         since = None if member.since is None else member.since.time
         name = None if member.since is None else bench.data.logs[member.since.log].name
         placed.append(Placed(effect, suspect.target, since, name))
     return vehicle.place(*placed) if placed else vehicle
 
 
+def _stated(bench: Workbench, member: Member, z: np.ndarray) -> dict[str, float]:
+    """A member's parameters, phases in (-pi/2, pi/2]: half a turn more is an amplitude of the other sign."""
+    suspect = bench.layout.suspects[member.suspect]
+    values = dict(zip(suspect.slots, (bench.layout.neutral_of(member.suspect) + z).tolist(), strict=True))
+    for phase in suspect.effect.phases:
+        turns = math.ceil(values[phase] / math.pi - 0.5)
+        values[phase] -= turns * math.pi
+        for name in suspect.effect.amplitudes:
+            values[name] *= (-1) ** turns
+    return values
+
+
 def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half.
 
-    Where the file is a little wrong everywhere (`dense`), what its coupling terms, which stay as filed, may
-    be off by is added, as of parameters that are considered but not estimated (Schmidt 1966).
+    Where more is left than sensor noise, what the file's other coefficients may be off by is added.
     """
     known, precision, _ = bench.known(now.model)
     g = now.stats.g @ known
@@ -63,12 +74,30 @@ def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     ratio = scatter_std / np.maximum(model_std, 1e-300)
     factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
     covariance = inverse * np.outer(factor, factor)
-    if dense:
-        values = couplings(bench.vehicle, now.knots.places)
-        both, n = now.knots.wrench(values).h.sum(0), len(h)
-        shift = _wrong_by(bench, now.model) * inverse @ both[:n, n:]
-        covariance = covariance + shift @ shift.T
-    return covariance
+    return covariance if now.white else covariance + _considered(bench, now, dense)
+
+
+def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
+    """What coefficients that stay as filed, but may be off, add to the covariance of z.
+
+    They are considered, not estimated (Schmidt 1966): the terms off the diagonals, and those on them unless
+    they were recalibrated (`dense`). Each has the spread that its prior and the logs leave it.
+    """
+    members, count = now.model.members, len(bench.base)
+    share = _wrong_by(bench, now.model)
+    named = {bench.layout.suspects[m.suspect].label for m in members}
+    h = now.knots.wrench(couplings(bench.vehicle, now.knots.places)).h.sum(0)
+    width = now.knots.width
+    filed = [] if dense else [j for j, c in enumerate(bench.base) if c.label not in named]
+    estimated = np.arange(0 if dense else count, width)
+    doubted = np.array([*filed, *range(width, len(h))], dtype=int)
+    size = share * np.array([*(bench.base[j].prior / FILE_ERROR for j in filed), *np.ones(len(h) - width)])
+    across = h[np.ix_(estimated, doubted)] * size
+    shift = solve(h[np.ix_(estimated, estimated)] + np.diag(now.knots.precision[estimated]), across)
+    told = size[:, None] * h[np.ix_(doubted, doubted)] * size - across.T @ shift
+    out = np.zeros((width, width))
+    out[np.ix_(estimated, estimated)] = shift @ solve(told / now.phi + np.eye(len(told)), shift.T)
+    return out
 
 
 def _wrong_by(bench: Workbench, model: Model) -> float:
@@ -85,11 +114,10 @@ def findings_of(bench: Workbench, now: Judged, rounds: Sequence[Round], dense: b
     out = []
     for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
         suspect = bench.layout.suspects[member.suspect]
-        values = bench.layout.neutral_of(member.suspect) + model.z[where]
-        units = suspect.effect.units
+        values = _stated(bench, member, model.z[where])
         parameters = {
-            name: Parameter(float(value), float(s), units[name])
-            for name, value, s in zip(suspect.slots, values, std[where], strict=True)
+            name: Parameter(value, float(s), suspect.effect.units[name])
+            for (name, value), s in zip(values.items(), std[where], strict=True)
         }
         without = bench.refine(bench.without_member(model, i), STEPS, ROUGH)
         saved = 2 * (without.cost - model.cost)

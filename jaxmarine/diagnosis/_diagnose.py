@@ -50,6 +50,7 @@ FEWEST_SAMPLES = 12  # of a window
 SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
 LEAST = HORIZON + 4.0  # [s] of a log on which a gain is measured
+HARMS = 0.95  # a member goes where predictions without it have less than this share of the error
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where unknown dependences alone leave less than the second share of what they leave, or
 # than the third one of what they leave together with unknown dependences, or the last one of what more than
@@ -391,7 +392,23 @@ def _settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, 
     model = _beginnings_refined(bench, model)
     phi = dispersion(bench, model, bench.screen(model))
     rounds = found.rounds + more
-    return _pruned(bench, _reweighed(bench, model, rounds, phi)), dense, rounds
+    model = _pruned(bench, _reweighed(bench, model, rounds, phi))
+    return _without_harm(bench, model), dense, rounds
+
+
+def _without_harm(bench: Workbench, model: Model) -> Model:
+    """The model without members beside which it predicts the training log worse over 5 s than without them.
+
+    Windows are shorter, and a member that takes up what is left in them may run away over more.
+    """
+    if len(model.members) < 2:
+        return model
+    own = _gain_at_home(bench, model)
+    for i in reversed(range(len(model.members))):
+        less = bench.refine(bench.without_member(model, i))
+        if _gain_at_home(bench, less) < HARMS * own:
+            return _without_harm(bench, less)
+    return model
 
 
 # --- what is unknown -----------------------------------------------------------------------------

@@ -67,6 +67,7 @@ class AbstractEffect(eqx.Module):
     advice: ClassVar[str] = ""  # what to look at on the boat
     plausible: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # range of a parameter
     phases: ClassVar[tuple[str, ...]] = ()  # angles [rad] of the log's own clock, others in another log
+    amplitudes: ClassVar[tuple[str, ...]] = ()  # change sign where a phase goes on by half a turn
 
     @classmethod
     @abc.abstractmethod

@@ -199,6 +199,7 @@ class Waves(WrenchEffect):
     units = {"north": "N", "east": "N", "period": "s", "phase": "rad"}
     plausible = {"period": (0.0, np.inf)}
     phases = ("phase",)
+    amplitudes = ("north", "east")
     confused_with = ("unknown",)
     shown_by = "some minutes on any course"
     advice = "waves: nothing to mend; filter them from the controller's signals"
