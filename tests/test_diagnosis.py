@@ -13,13 +13,16 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import jaxmarine as jm
 from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
-from jaxmarine.diagnosis._answer import alternatives
+from jaxmarine.diagnosis._answer import _stated, alternatives
 from jaxmarine.diagnosis._model import Member, Model, Workbench
 from jaxmarine.diagnosis._search import Round, Trial
+from jaxmarine.effects import Suspect, Waves
 from jaxmarine.vehicle_io import cause_named
 
 # All logs are equally long, so that a vehicle's programs are compiled once.
@@ -140,6 +143,23 @@ def test_alternatives_are_those_of_the_round_that_was_won():
     (other,) = alternatives(bench, b, {0, 1}, 1.0, rounds, 1200.0)
     assert (other.effect, other.indistinguishable) == ("c", True)
     assert other.log_evidence == pytest.approx(1199.5)
+
+
+@given(phase=st.floats(-20.0, 20.0))
+def test_a_phase_is_stated_within_half_a_turn_and_the_force_is_the_same(phase):
+    """Against the force itself, at times within a period of 5 s."""
+    slots = {name: (i,) for i, name in enumerate(Waves.units)}
+    bench: Any = object.__new__(Workbench)
+    bench.layout = SimpleNamespace(
+        suspects=[Suspect(Waves, None, slots)], neutral_of=lambda _: np.array([0.0, 0.0, 5.0, 0.0])
+    )
+    told = _stated(bench, Member(0), np.array([2.0, -3.0, 0.0, phase]))
+    assert -np.pi / 2 < told["phase"] <= np.pi / 2
+    t = np.linspace(0.0, 5.0, 7)
+    for name, size in (("north", 2.0), ("east", -3.0)):
+        force = told[name] * np.sin(2 * np.pi * t / 5.0 + told["phase"])
+        # Rounding of an angle of some turns.
+        np.testing.assert_allclose(force, size * np.sin(2 * np.pi * t / 5.0 + phase), atol=1e-13)
 
 
 def test_the_causes_of_a_group_can_be_given_to_a_plan():

@@ -407,7 +407,7 @@ def _without_harm(bench: Workbench, model: Model) -> Model:
     for i in reversed(range(len(model.members))):
         less = bench.refine(bench.without_member(model, i))
         if _gain_at_home(bench, less) < HARMS * own:
-            return _without_harm(bench, less)
+            return _without_harm(bench, _pruned(bench, less))
     return model
 
 
