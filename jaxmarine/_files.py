@@ -90,6 +90,12 @@ def validated(model: type[_Model], data: object, source: str) -> _Model:
         raise InputError(f"{source}: {_problem(model, first)}{more}") from error
 
 
+def listed(names: Iterable[str]) -> str:
+    """Names for a sentence, the first twenty of them."""
+    quoted = [f"`{name}`" for name in names]
+    return ", ".join(quoted[:20]) + (", ..." if len(quoted) > 20 else "")
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The end of a sentence about an unknown name: the nearest known ones, or all of them."""
     known = list(known)

@@ -6,15 +6,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxmarine as jm
-from jaxmarine.cli import main
 from jaxmarine.examples import operator, recorded
+
+from .shell import exit_code
 
 COMMANDS = ("diagnose", "simulate", "fit", "check", "demo")
 
@@ -24,13 +24,7 @@ def jaxmarine(capsys) -> Callable[..., tuple[int, str, str]]:
     """Runs a command line in this process: exit code, stdout, stderr."""
 
     def run(*words: str | Path) -> tuple[int, str, str]:
-        argv = ["jaxmarine", *map(str, words)]
-        code = 0
-        with mock.patch.object(sys, "argv", argv), mock.patch.dict(os.environ):
-            try:
-                main()
-            except SystemExit as end:
-                code = int(end.code or 0)
+        code = exit_code(*words)
         out, err = capsys.readouterr()
         return code, out, err
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from ..effects import place
 from ..vehicle import Damping, Placed, Vehicle
@@ -50,12 +51,12 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
 
 def _stated(bench: Workbench, member: Member, z: np.ndarray) -> dict[str, float]:
     """A member's parameters, phases in (-pi/2, pi/2]: half a turn more is an amplitude of the other sign."""
-    suspect = bench.layout.suspects[member.suspect]
-    values = dict(zip(suspect.slots, (bench.layout.neutral_of(member.suspect) + z).tolist(), strict=True))
-    for phase in suspect.effect.phases:
+    effect = bench.layout.suspects[member.suspect].effect
+    values = bench.layout.values(member.suspect, z)
+    for phase in effect.phases:
         turns = math.ceil(values[phase] / math.pi - 0.5)
         values[phase] -= turns * math.pi
-        for name in suspect.effect.amplitudes:
+        for name in effect.amplitudes:
             values[name] *= (-1) ** turns
     return values
 
@@ -106,10 +107,16 @@ def _wrong_by(bench: Workbench, model: Model) -> float:
     return FILE_ERROR * max(1.0, 1.48 * float(np.median(shares)) if shares else 0.0)
 
 
-def findings_of(bench: Workbench, now: Judged, rounds: Sequence[Round], dense: bool) -> tuple[Finding, ...]:
+def standard_errors(bench: Workbench, now: Judged, dense: bool) -> Float[np.ndarray, " z"]:
+    """Of z; `dense`: the file's coefficients were recalibrated."""
+    return np.sqrt(np.diag(_covariance(bench, now, dense)))
+
+
+def findings_of(
+    bench: Workbench, now: Judged, rounds: Sequence[Round], std: Float[np.ndarray, " z"]
+) -> tuple[Finding, ...]:
     """Each member with its parameters, its evidence beside the others, and what else it could be."""
     model, phi = now.model, now.phi
-    std = np.sqrt(np.diag(_covariance(bench, now, dense)))
     named = {member.suspect for member in model.members}
     out = []
     for i, (member, where) in enumerate(zip(model.members, bench.slices(model.members), strict=True)):
@@ -193,9 +200,8 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
     return tuple(out)
 
 
-def recalibrated(bench: Workbench, now: Judged) -> tuple[Recalibrated, ...]:
+def recalibrated(bench: Workbench, now: Judged, std: Float[np.ndarray, " z"]) -> tuple[Recalibrated, ...]:
     """The file's coefficients that no member stands for, with what they were refitted to."""
-    std = np.sqrt(np.diag(_covariance(bench, now, dense=True)))
     taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
     return tuple(
         Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)

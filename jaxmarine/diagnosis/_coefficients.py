@@ -90,8 +90,11 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
 
     During the search the coefficient could bend to what another cause does, so that none was needed.
     """
-    less = bench.refine(bench.without_member(model, model.members.index(member)))
-    own = Trial(member, model, 2 * (less.cost - model.cost))
+    which = model.members.index(member)
+    less = bench.refine(bench.without_member(model, which))
+    value = model.z[bench.slices(model.members)[which]]
+    same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
+    own = Trial(member, same, 2 * (less.cost - same.cost))
     trials = [own]
     for trial in weigh(bench, less, bench.screen(less)):
         if trial.member.suspect != member.suspect:

@@ -15,7 +15,7 @@ from ..fitting import cut, noise_of
 from ..logs import Log, smooth_states
 from ..simulation import initial_state, simulate, substeps
 from ..vehicle import Placed, Vehicle
-from ._answer import extended_by, findings_of, groups, recalibrated, weighed
+from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
 from ._coefficients import settle
 from ._gain import HORIZON, Candidate, gain, predictions
 from ._judge import Judged, judged
@@ -148,7 +148,8 @@ def diagnose(
         notes.append(
             f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
         )
-    findings = findings_of(bench, now, rounds, dense) + tuple(
+    std = standard_errors(bench, now, dense)
+    findings = findings_of(bench, now, rounds, std) + tuple(
         Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
     )
     if dense:
@@ -179,7 +180,7 @@ def diagnose(
         depends_on=tuple(dict.fromkeys(name for one in unknown for name in one.signals)),
         vehicle=vehicle,
         extended=extended,
-        recalibrated=recalibrated(bench, now) if dense else (),
+        recalibrated=recalibrated(bench, now, std) if dense else (),
         rounds=tuple(weighed(bench, one) for one in found.rounds),
         groups=groups(findings),
         misfit_before=2 * start.cost / bench.samples,

@@ -354,10 +354,9 @@ class Workbench:
         times the inertia of the file.
         """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
-            suspect = self.layout.suspects[member.suspect]
-            values = self.layout.neutral_of(member.suspect) + model.z[where]
-            for name, value in zip(suspect.slots, values, strict=True):
-                low, high = suspect.effect.plausible.get(name, (-np.inf, np.inf))
+            plausible = self.layout.suspects[member.suspect].effect.plausible
+            for name, value in self.layout.values(member.suspect, model.z[where]).items():
+                low, high = plausible.get(name, (-np.inf, np.inf))
                 if not low <= value <= high:
                     return False
         plant_of, own = self.problem(model.members).plant_of, float(self.vehicle.body.matrix[0, 0])

@@ -44,6 +44,10 @@ class Layout:
         """Neutral values of a suspect's parameters, in the order of its slots."""
         return np.array([self.neutral[np.flatnonzero(column)[0]] for column in self.columns[i].T])
 
+    def values(self, i: int, z: np.ndarray) -> dict[str, float]:
+        """A suspect's parameters by name, `z` away from neutral."""
+        return dict(zip(self.suspects[i].slots, (self.neutral_of(i) + z).tolist(), strict=True))
+
 
 def saturate(
     vehicle: Vehicle, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE

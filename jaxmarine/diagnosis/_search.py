@@ -39,7 +39,7 @@ PROBED = 20.0
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A refitted suspect."""
+    """A refitted suspect, the last of its model's members."""
 
     member: Member
     model: Model
@@ -47,9 +47,7 @@ class Trial:
 
     def parameters(self, bench: Workbench) -> dict[str, float]:
         where = bench.slices(self.model.members)[-1]
-        names = bench.layout.suspects[self.member.suspect].slots
-        values = bench.layout.neutral_of(self.member.suspect) + self.model.z[where]
-        return dict(zip(names, values.tolist(), strict=True))
+        return bench.layout.values(self.member.suspect, self.model.z[where])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,6 +12,7 @@ import scipy.ndimage
 from jaxtyping import Float
 
 from .._errors import InputError
+from .._files import listed
 from .._types import ATTITUDE
 from ._sources import Series
 
@@ -73,14 +74,14 @@ def in_order(
         ordered[name] = Series(t[first], values[first])
     if strayed:
         notes.append(
-            f"Samples of {_listed(strayed)} with a time far from that of their neighbours are left out."
+            f"Samples of {listed(strayed)} with a time far from that of their neighbours are left out."
         )
     if swapped:
         notes.append(
-            f"Samples of {_listed(swapped)} were out of order by at most {_SWAPPED:g} s and are sorted."
+            f"Samples of {listed(swapped)} were out of order by at most {_SWAPPED:g} s and are sorted."
         )
     if repeated:
-        notes.append(f"Samples of {_listed(repeated)} with the time of another are left out.")
+        notes.append(f"Samples of {listed(repeated)} with the time of another are left out.")
     return ordered, notes
 
 
@@ -132,7 +133,7 @@ def on_one_clock(
             averaged.append(name)
     notes += _grouped(sparse)
     if averaged:
-        notes.append(f"{_listed(averaged)} are sampled faster than that and averaged over each row's time.")
+        notes.append(f"{listed(averaged)} are sampled faster than that and averaged over each row's time.")
     if held:
         notes += _of_commands(series, held, spacing, t)
     if t[0] - begin > _LONG_HOLD:
@@ -247,7 +248,7 @@ def _grouped(sparse: list[tuple[str, float, float]]) -> list[str]:
     for name, spacing, off in sparse:
         alike.setdefault((f"{spacing:.2g}", f"{off:.1g}"), []).append(name)
     return [
-        f"{_listed(names)} are sampled every {spacing} s; each sample stands in the nearest row, carried "
+        f"{listed(names)} are sampled every {spacing} s; each sample stands in the nearest row, carried "
         f"over up to {off} s by the slope of its neighbours."
         for (spacing, off), names in alike.items()
     ]
@@ -256,15 +257,10 @@ def _grouped(sparse: list[tuple[str, float, float]]) -> list[str]:
 def _of_commands(
     series: Mapping[str, Series], held: list[str], spacing: Mapping[str, float], t: np.ndarray
 ) -> list[str]:
-    notes = [f"{_listed(held)} hold between their samples; a row has their mean until the next row."]
+    notes = [f"{listed(held)} hold between their samples; a row has their mean until the next row."]
     for name in held:
         times = series[name].t
         pause = np.max(np.diff(np.append(times[times <= t[-1]], t[-1])), initial=0.0)
         if pause > max(_LONG_HOLD, 10 * spacing[name]):
             notes.append(f"`{name}` is silent for up to {pause:.3g} s, over which its last value holds.")
     return notes
-
-
-def _listed(names: Sequence[str]) -> str:
-    few = ", ".join(f"`{name}`" for name in names[:20])
-    return few + (", ..." if len(names) > 20 else "")

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from .._errors import InputError
-from .._files import did_you_mean
+from .._files import did_you_mean, listed
 from .._types import CHANNELS, WRENCH
 from ._columns import ColumnMap, ColumnSource, replaced
 from ._craft import Craft, free_poses, free_velocities
@@ -83,10 +83,9 @@ class MappedFile:
 
     def note_ignored(self) -> None:
         used = {source.source for source in self._sources.values()}
-        ignored = [f"`{name}`" for name in self.file_names if name not in used]
+        ignored = [name for name in self.file_names if name not in used]
         if ignored:
-            few = ", ".join(ignored[:20]) + (", ..." if len(ignored) > 20 else "")
-            self.notes.append(f"Columns that nothing knows are ignored: {few}.")
+            self.notes.append(f"Columns that nothing knows are ignored: {listed(ignored)}.")
 
 
 def open_mapped(
@@ -147,8 +146,7 @@ def _of_recording(path: Path, vehicle: Craft, columns: ColumnMap | None) -> Mapp
     if not sources:
         raise InputError(
             f"{path}: needs a column map that says which message holds what; the file has "
-            f"{', '.join(f'`{name}`' for name in recording.names[:20])}"
-            f"{', ...' if recording.names[20:] else ''}."
+            f"{listed(recording.names)}."
         )
     assert columns is not None
     odd = next((name for name, one in sources.items() if name == "t" or one.clock), None)

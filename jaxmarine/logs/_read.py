@@ -1,13 +1,14 @@
 """From a file to a `Log`, and back; every rule of the log format is checked here."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from .._errors import InputError
+from .._files import listed
 from .._types import ATTITUDE, CHANNELS, WRENCH
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
@@ -75,7 +76,7 @@ def _time(file: MappedFile) -> np.ndarray:
     if "t" not in file:
         raise InputError(
             f"{file.path}: has no column `t` (time in seconds); rename it, or map it by a column "
-            f"map; the file has {_listed(file.file_names)}."
+            f"map; the file has {listed(file.file_names)}."
         )
     t = file["t"]
     if len(t) < _MIN_ROWS:
@@ -113,11 +114,11 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
         if empty:
             raise InputError(
                 f"{file.path}: column {file.label(empty[0])} has no value in any row; fill it, or "
-                f"give the other set: {_listed(pose if nearer == velocity else velocity)}."
+                f"give the other set: {listed(pose if nearer == velocity else velocity)}."
             )
         raise InputError(
-            f"{file.path}: lacks {_listed(file.missing(nearer))}; a log of this vehicle needs "
-            f"position with attitude ({_listed(pose)}) or velocity ({_listed(velocity)}): "
+            f"{file.path}: lacks {listed(file.missing(nearer))}; a log of this vehicle needs "
+            f"position with attitude ({listed(pose)}) or velocity ({listed(velocity)}): "
             "add the columns or map them by a column map."
         )
     for name in hollow:
@@ -133,25 +134,25 @@ def _drive(file: MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndar
     given = [name for name in WRENCH if name in file]
     if thrusters and not file.missing(thrusters):
         if given:
-            file.notes.append(f"The commands drive; the wrench {_listed(given)} is ignored.")
+            file.notes.append(f"The commands drive; the wrench {listed(given)} is ignored.")
         return _commands(file, vehicle), None
     if not file.missing(wrench):
         commands = [name for name in thrusters if name in file]
         if commands:
             file.notes.append(
-                f"The wrench drives, as {_listed(file.missing(thrusters))} is missing; "
-                f"{_listed(commands)} is ignored."
+                f"The wrench drives, as {listed(file.missing(thrusters))} is missing; "
+                f"{listed(commands)} is ignored."
             )
         held = [_held(file, name) if name in file else np.zeros(len(file["t"])) for name in WRENCH]
         return None, np.stack(held, axis=1)
     if not thrusters:
         raise InputError(
-            f"{file.path}: lacks {_listed(file.missing(wrench))}; the vehicle has no thruster, so "
-            f"its log needs the applied wrench {_listed(wrench)}."
+            f"{file.path}: lacks {listed(file.missing(wrench))}; the vehicle has no thruster, so "
+            f"its log needs the applied wrench {listed(wrench)}."
         )
     raise InputError(
-        f"{file.path}: lacks {_listed(file.missing(thrusters))}; a log needs one command column "
-        f"per thruster ({_listed(thrusters)}) or the applied wrench ({_listed(wrench)}): add the "
+        f"{file.path}: lacks {listed(file.missing(thrusters))}; a log needs one command column "
+        f"per thruster ({listed(thrusters)}) or the applied wrench ({listed(wrench)}): add the "
         "columns or map them by a column map."
     )
 
@@ -193,8 +194,3 @@ def _held(file: MappedFile, name: str) -> np.ndarray:
         )
         values = pd.Series(values).ffill().fillna(0.0).to_numpy()
     return values
-
-
-def _listed(names: Iterable[str]) -> str:
-    names = [f"`{name}`" for name in names]
-    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
