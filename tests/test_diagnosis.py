@@ -21,6 +21,7 @@ from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
 from jaxmarine.diagnosis._answer import _stated, alternatives
 from jaxmarine.diagnosis._model import Member, Model, Workbench
+from jaxmarine.diagnosis._saturated import Layout
 from jaxmarine.diagnosis._search import Round, Trial
 from jaxmarine.effects import Suspect, Waves
 from jaxmarine.vehicle_io import cause_named
@@ -150,9 +151,7 @@ def test_a_phase_is_stated_within_half_a_turn_and_the_force_is_the_same(phase):
     """Against the force itself, at times within a period of 5 s."""
     slots = {name: (i,) for i, name in enumerate(Waves.units)}
     bench: Any = object.__new__(Workbench)
-    bench.layout = SimpleNamespace(
-        suspects=[Suspect(Waves, None, slots)], neutral_of=lambda _: np.array([0.0, 0.0, 5.0, 0.0])
-    )
+    bench.layout = Layout(np.array([0.0, 0.0, 5.0, 0.0]), (Suspect(Waves, None, slots),), (np.eye(4),))
     told = _stated(bench, Member(0), np.array([2.0, -3.0, 0.0, phase]))
     assert -np.pi / 2 < told["phase"] <= np.pi / 2
     t = np.linspace(0.0, 5.0, 7)

@@ -13,8 +13,9 @@ import pytest
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
 from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
+from jaxmarine.fitting._linearise import _memory
 from jaxmarine.simulation import simulate
-from jaxmarine.vehicle import Placed, Plant, Vehicle
+from jaxmarine.vehicle import Placed, Plant, State, Vehicle
 from tests.crafts import independent, log_of, packaged, random_commands, random_start
 
 DT, LENGTH = 0.05, 2.0
@@ -187,6 +188,26 @@ def test_elimination_is_that_of_the_whole_problem():
         size = np.abs(stats.h_zz[w]).max()
         assert np.allclose(g[w], stats.g_z[w] - stats.h_xz[w].T @ solved[:, 0], atol=1e-6 * size)
         assert np.allclose(h[w], stats.h_zz[w] - stats.h_xz[w].T @ solved[:, 1:], atol=1e-6 * size)
+
+
+def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one():
+    """Else errors of the sensors would pass for forces: a misalignment times a memory is a cross damping."""
+    this = case(*THREE_AXES)
+    records, theta = this.problem.records, this.affine.theta
+    plants = jax.vmap(this.problem.plant_of)(theta, jnp.arange(len(theta)))
+
+    def shown(attitude, velocity, segment):
+        plant = jax.tree.map(lambda a: a[segment], plants)
+        state = State(jnp.zeros(3), attitude, velocity, jnp.zeros(0))
+        return plant.readings(state, jnp.zeros(6))[6:12]
+
+    logged = jax.vmap(jax.vmap(shown))(records.attitude, records.velocity, records.segment)
+    assert np.abs(logged - records.velocity).max() > 0.01
+    spoilt = dataclasses.replace(this.problem, records=dataclasses.replace(records, velocity=logged))
+    true = dataclasses.replace(plants, sensors=())
+    remembered, expected = _memory(spoilt, plants)[0], _memory(this.problem, true)[0]
+    # What the sensors hide at their least is divided by itself and LEAST_SHOWN squared.
+    assert np.abs(remembered - expected).max() < 1e-5 * np.abs(expected).max()
 
 
 def test_predictions_are_those_of_a_simulation():

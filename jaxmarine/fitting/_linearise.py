@@ -35,6 +35,9 @@ from ._windows import ANGLES, Records, Windows
 # keeps the elimination regular where a component was not measured; the tight one holds locked axes.
 LOOSE, TIGHT = 1e3, 1e-6
 
+# Sensors that show less of a velocity than this share of it do not tell what it was.
+LEAST_SHOWN = 1e-3
+
 # Windows that are linearised together.
 BATCH = 10
 
@@ -204,16 +207,37 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     return jax.lax.fori_loop(0, problem.records.segment.max() + 1, one, (nothing, nothing))
 
 
+def _inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """By cofactors, which unlike a factorisation is done for all samples at once; finite for any matrix."""
+    cofactors = jnp.cross(jnp.roll(a, -1, 1), jnp.roll(a, -2, 1), axis=0)
+    determinant = (a[:, 0] * cofactors[:, 0]).sum()
+    return cofactors.T * determinant / (determinant**2 + LEAST_SHOWN**6)
+
+
+def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Array, "6"]) -> Float[Array, "6"]:
+    """The velocity that the sensors show as the logged one: they are affine, and rates show no speeds."""
+
+    def shown(nu):
+        state = State(jnp.zeros(3), attitude, nu, jnp.zeros(0))
+        return plant.readings(state, jnp.zeros(6))[6:12]
+
+    slope = jax.jacfwd(shown)(jnp.zeros(6))
+    rest = logged - shown(jnp.zeros(6))
+    rates = _inverse(slope[3:, 3:]) @ rest[3:]
+    return jnp.concatenate([_inverse(slope[:3, :3]) @ (rest[:3] - slope[:3, 3:] @ rates), rates])
+
+
 def _memory(problem: Problem, plants: Plant):
-    """Fluid memory at every step of the logs, from the smoothed motion, and its slope per lag."""
+    """Fluid memory at every step of the logs, from the smoothed logged motion, and its slope per lag."""
     records = problem.records
     if not plants.has_memory:
         nothing = jnp.zeros((*records.t.shape, 0))
         return nothing, nothing
     lags = jax.vmap(lambda plant: plant.memory_lag())(plants)
 
-    def through_water(attitude, velocity, segment):
-        return _pick(plants, segment).relative(attitude, velocity)
+    def through_water(attitude, logged, segment):
+        plant = _pick(plants, segment)
+        return plant.relative(attitude, _true_velocity(plant, attitude, logged))
 
     # Taken as measured: what a change of the current does to the past of a window is left out.
     relative = jax.lax.stop_gradient(
