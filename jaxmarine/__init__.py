@@ -6,72 +6,8 @@
 Double precision is needed: call `jax.config.update("jax_enable_x64", True)` first.
 """
 
-from . import control as control
-from . import effects as effects
-from ._errors import InputError as InputError
-from .diagnosis import Diagnosis as Diagnosis
-from .diagnosis import Finding as Finding
-from .diagnosis import diagnose as diagnose
-from .effects import CATALOGUE as CATALOGUE
-from .fitting import (
-    Check as Check,
-)
-from .fitting import (
-    Fit as Fit,
-)
-from .fitting import (
-    FitError as FitError,
-)
-from .fitting import (
-    NetworkIdentification as NetworkIdentification,
-)
-from .fitting import (
-    check as check,
-)
-from .fitting import (
-    fit as fit,
-)
-from .fitting import (
-    identify_by_networks as identify_by_networks,
-)
-from .fitting import (
-    least_squares as least_squares,
-)
-from .fitting import (
-    levenberg_marquardt as levenberg_marquardt,
-)
-from .logs import Log as Log
-from .logs import read_columns as read_columns
-from .logs import read_log as read_log
-from .logs import write_log as write_log
-from .reports import write_report as write_report
-from .simulation import Trajectory as Trajectory
-from .simulation import initial_state as initial_state
-from .simulation import simulate as simulate
-from .vehicle import (
-    Placed as Placed,
-)
-from .vehicle import (
-    State as State,
-)
-from .vehicle import (
-    Vehicle as Vehicle,
-)
-from .vehicle import (
-    allocate as allocate,
-)
-from .vehicle import (
-    forward_dynamics as forward_dynamics,
-)
-from .vehicle import (
-    inverse_dynamics as inverse_dynamics,
-)
-from .vehicle_io import (
-    load_vehicle as load_vehicle,
-)
-from .vehicle_io import (
-    packaged_vehicle as packaged_vehicle,
-)
-from .vehicle_io import (
-    save_vehicle as save_vehicle,
-)
+import lazy_loader
+
+# The names are those of `__init__.pyi`. Each is imported when it is first used: a look at the command
+# line's help, or at the version, does not wait for the compiler.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,7 +6,8 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Float
 
-from ._types import CHANNELS, SENSORS
+from ._errors import InputError
+from ._types import CHANNELS
 from .effects import CATALOGUE, AbstractEffect, place
 from .logs import Log
 from .simulation import initial_state, simulate
@@ -39,9 +40,13 @@ def operator(
 
 
 def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
-    """The log of a vehicle from rest under commands, with the white noise that its file states."""
-    stated = dict(vehicle.sensors)
-    noise = np.array([stated[kind] for kind, channels in SENSORS.items() for _ in channels])
+    """The log of a vehicle from rest under commands, with the white noise that its file states.
+
+    Sensors whose noise it does not state are not in the log; raises `InputError` where that leaves none.
+    """
+    noise = vehicle.stated_noise
+    if np.isnan(noise).all():
+        raise InputError(f"{vehicle.name}: states no noise under [sensors]; say what a log of it measures.")
     empty = Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.command_names, name)
     clean = np.asarray(simulate(vehicle, empty, initial_state(vehicle)).channels)
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import DOFS, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from ._types import DOFS, SENSORS, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
 from .effects import (
     CATALOGUE,
     AbstractEffect,
@@ -169,6 +169,12 @@ class Vehicle(eqx.Module):
         """The largest command allowed per command column."""
         limits = np.maximum(1.0, np.asarray(self.thrusters.saturation))
         return limits if self.slider is None else np.append(limits, 1.0)
+
+    @property
+    def stated_noise(self) -> Float[np.ndarray, "18"]:
+        """Standard deviation that the file states for each channel, NaN where it states none."""
+        stated = dict(self.sensors)
+        return np.array([stated.get(kind, np.nan) for kind, channels in SENSORS.items() for _ in channels])
 
     @property
     def mass_matrix(self) -> Matrix6:

@@ -62,6 +62,9 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
     if entry.effect in _LEARNED:
         if entry.arrays is None or not entry.inputs:
             raise ValueError("is a learned term and needs `arrays` and `inputs`.")
+        for key, given in (("since", entry.since is not None), *((name, True) for name in entry.parameters)):
+            if given:
+                raise ValueError(f"is a learned term, which has no `{key}`; remove it.")
         _LEARNED[entry.effect].check(file, entry.target, entry.inputs)
     elif entry.arrays is not None or entry.inputs:
         raise ValueError(
@@ -69,7 +72,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
         )
 
 
-def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
+def _vehicle(file: VehicleFile) -> Vehicle:
     def column(name: str, width: tuple[int, ...] = ()):
         values = [getattr(thruster, name) for thruster in file.thruster]
         return jnp.asarray(np.array(values, float).reshape(len(values), *width))
@@ -95,7 +98,7 @@ def _vehicle(file: VehicleFile, placed: tuple[Placed, ...] = ()) -> Vehicle:
         ),
         density=number(file.environment.density),
         gravity=number(file.environment.gravity),
-        placed=placed,
+        placed=(),
         name=file.name,
         dof=file.dof,
         thruster_names=file.thruster_names,
@@ -132,6 +135,10 @@ def load_vehicle(
                     raise ValueError(
                         f"has the parameter `{unknown[0]}`; `{entry.effect}` has "
                         f"{', '.join(entry_names(suspect))}."
+                    )
+                if not entry.parameters:
+                    raise ValueError(
+                        f"is `{entry.effect}` without any parameter; give {', '.join(suspect.slots)}."
                     )
             except ValueError as error:
                 raise InputError(f"{path}: `effect[{number}]` {error}") from error

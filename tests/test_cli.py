@@ -294,3 +294,19 @@ def test_the_demo_finds_what_it_hides(jaxmarine, folder):
     made = {path.name for path in (folder / "demo").iterdir()}
     assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json"}
     assert "index.html" in made
+
+
+def test_help_does_not_wait_for_the_compiler():
+    """Neither the command line's help nor the package itself imports jax, which takes seconds."""
+    program = (
+        "import sys, jaxmarine.cli; sys.argv = ['jaxmarine', '--help']\n"
+        "try: jaxmarine.cli.main()\n"
+        "except SystemExit as end: sys.exit(end.code or 3 * ('jax' in sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert all(command in run.stdout for command in COMMANDS)
+
+
+def test_every_public_name_is_there():
+    assert {"diagnose", "fit", "simulate", "CATALOGUE"} < set(jm.__all__)
+    assert all(getattr(jm, name) is not None for name in jm.__all__)

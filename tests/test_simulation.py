@@ -400,7 +400,7 @@ def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
         True,
     )
     nothing = Affine(jnp.zeros((1, 1)), jnp.zeros((1, 1)), jnp.ones((1, 1)))
-    task = Task(problem, nothing, jnp.ones(1), jnp.zeros(1))
+    task = Task(problem, nothing, jnp.ones(1))
     start = jnp.zeros((data.windows.count, 12))
     fitted = refine_windows(task, jnp.zeros(1), start)
     assert fitted.converged

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
-from .._types import CHANNELS, RATE, SENSORS, VELOCITY
+from .._precision import need_double
+from .._types import CHANNELS, RATE, VELOCITY
 from ..effects import CATALOGUE, AbstractEffect
 from ..fitting import cut, noise_of
 from ..logs import Log, smooth_states
@@ -84,9 +85,14 @@ def diagnose(
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage.
 
-    Raises `InputError` where the logs are too short.
+    Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the test
+    log measures nothing that they measure, and where effects have more parameters or begin at more times
+    than there is room for.
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
+    if not logs:
+        raise InputError("A diagnosis needs at least one training log.")
+    need_double("A diagnosis")
     notes = [note for log in (*logs, test) for note in log.notes]
     _moving(logs)
     bench = _workbench(vehicle, logs, catalogue, window)
@@ -181,7 +187,7 @@ def diagnose(
         vehicle=vehicle,
         extended=extended,
         recalibrated=recalibrated(bench, now, std) if dense else (),
-        rounds=tuple(weighed(bench, one) for one in found.rounds),
+        rounds=tuple(weighed(bench, one) for one in rounds),
         groups=groups(findings),
         misfit_before=2 * start.cost / bench.samples,
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
@@ -267,8 +273,8 @@ def _stuck(bench: Workbench) -> list[str]:
 
 def _unstated(bench: Workbench) -> list[int]:
     """Channels that are used and whose noise the vehicle file does not state."""
-    stated = {channel for kind, _ in bench.vehicle.sensors for channel in SENSORS[kind]}
-    return [i for i, name in enumerate(CHANNELS) if name not in stated and np.isfinite(bench.noise[i])]
+    unstated = np.isnan(bench.vehicle.stated_noise)
+    return np.flatnonzero(unstated & np.isfinite(bench.noise)).tolist()
 
 
 def _begun(bench: Workbench) -> tuple[Model, list[str]]:
@@ -528,24 +534,27 @@ def gain_of(
     train: Sequence[Log] | Log,
     test: Log,
     causes: Sequence[Placed],
-    catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
-    window: float | None = None,
 ) -> Gain:
     """What given causes buy on the test log, refitted from their values: what naming them is worth.
 
-    As `diagnose` measures it, without a search; raises ValueError where the catalogue lacks a cause.
+    As `diagnose` measures it, without a search; raises `InputError` where the catalogue lacks a cause or a
+    cause begins in a log that is not given.
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
-    bench = _workbench(vehicle, logs, catalogue, window)
-    labels = [(suspect.effect.name, suspect.target) for suspect in bench.layout.suspects]
+    bench = _workbench(vehicle, logs, CATALOGUE, None)
+    names = [log.name for log in logs]
     model = bench.start()
     for cause in causes:
-        i = labels.index((cause.effect.name, cause.target))
+        i = bench.layout.place_of(cause)
         value = bench.layout.suspects[i].values(cause.effect)
         since = None
         if cause.since is not None:
-            which = next((k for k, log in enumerate(logs) if log.name == cause.since_log), 0)
-            since = Beginning(which, cause.since)
+            if cause.since_log not in (None, *names):
+                raise InputError(
+                    f"Cause `{cause.effect.name}` begins in {cause.since_log}; the training logs are "
+                    f"{', '.join(names)}."
+                )
+            since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
     return _measured_gain(bench, bench.refine(model), (), test)[0]
 

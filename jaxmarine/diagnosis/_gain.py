@@ -111,7 +111,6 @@ def predictions(
             Problem(plant, records, seen, precision, accelerations, jnp.asarray(split)),
             Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
             jnp.ones(slots),
-            jnp.zeros(slots),
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
         problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))

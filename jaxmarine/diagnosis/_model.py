@@ -280,7 +280,6 @@ class Workbench:
             self.problem(model.members),
             self.affine(model.members),
             jnp.asarray(precision),
-            jnp.zeros(len(precision)),
         )
 
     # --- what the search asks ------------------------------------------------------------------

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from .._errors import InputError
-from .._types import CHANNELS, SENSORS
+from .._precision import need_double
 from ..effects import AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import start_precision, wrapped
 from ..logs import Log
@@ -290,6 +290,7 @@ def plan(
     design for telling models apart (Atkinson and Fedorov 1975, T-optimality), here with the rival, the
     file's coefficients and the windows' initial states refitted.
     """
+    need_double("A plan")
     problem = _causes(vehicle, causes, duration, Box() if box is None else box)
     shape = (round(duration / HOLD), len(vehicle.command_names))
     rng = np.random.default_rng(seed)
@@ -335,10 +336,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         raise InputError(
             f"A manoeuvre of {duration:g} s is too short for a diagnosis; give {2 * WINDOW:g} s or more."
         )
-    weight = np.zeros(len(CHANNELS))
-    for kind, std in vehicle.sensors:
-        weight[np.isin(CHANNELS, SENSORS[kind])] = 1.0 / std
-    weight *= np.tile(vehicle.free, 3)
+    weight = np.nan_to_num(1.0 / vehicle.stated_noise) * np.tile(vehicle.free, 3)
     if not weight.any():
         raise InputError(
             f"{vehicle.name}: states no noise under [sensors]; say what is measured, and how well."
@@ -346,10 +344,9 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
     own = (AddedMass, LinearDamping, QuadraticDamping)
     families, layout = saturate(vehicle, tuple(dict.fromkeys((*own, *(type(c.effect) for c in causes)))))
     base = base_coefficients(vehicle, layout)
-    labels = [(suspect.effect, suspect.target) for suspect in layout.suspects]
     theta, columns, precision = [], [], []
     for cause in causes:
-        i = labels.index((type(cause.effect), cause.target))
+        i = layout.place_of(cause)
         value = layout.suspects[i].values(cause.effect)
         theta.append(layout.neutral + layout.columns[i] @ (value - layout.neutral_of(i)))
         others = [c for c in base if c.label != layout.suspects[i].label]

@@ -141,7 +141,8 @@ class MissingWrench:
 class Diagnosis:
     """The whole answer.
 
-    - `rounds`: per round of the search, the suspects in the order of their evidence.
+    - `rounds`: the suspects in the order of their evidence, per round of the search and then in the place of
+      each of the file's coefficients that was found wrong.
     - `groups`: sets of labels that these logs cannot tell apart.
     - `depends_on`: signals that the residual depends on after the named findings and before any learned
       term; `white`: nothing but sensor noise is left.
@@ -176,9 +177,10 @@ class Diagnosis:
         Each with the parameters at which it explains the training logs best.
         """
         found = {f.label: {name: p.value for name, p in f.parameters.items()} for f in self.findings}
-        weighed = sorted(
-            (one for ranking in self.rounds for one in ranking), key=lambda one: one.log_evidence
-        )
+        # The ranking in which the finding won: what is said of the others holds in its place.
+        own = [ranking for ranking in self.rounds if ranking and ranking[0].label == group[0]]
+        rankings = own or self.rounds
+        weighed = sorted((one for ranking in rankings for one in ranking), key=lambda one: one.log_evidence)
         values = {one.label: one.parameters for one in weighed} | found
         return tuple(
             " ".join([label, *(f"{name}={value:.4g}" for name, value in values.get(label, {}).items())])

@@ -9,8 +9,9 @@ import jax.flatten_util
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._errors import InputError
 from ..effects import CATALOGUE, AbstractEffect, Suspect
-from ..vehicle import Plant, Vehicle
+from ..vehicle import Placed, Plant, Vehicle
 
 
 class SaturatedPlant(eqx.Module):
@@ -39,6 +40,17 @@ class Layout:
     @property
     def size(self) -> int:
         return len(self.neutral)
+
+    def place_of(self, cause: Placed) -> int:
+        """Which suspect a cause is; raises `InputError` where it is none."""
+        for i, suspect in enumerate(self.suspects):
+            if suspect.effect is type(cause.effect) and suspect.target == cause.target:
+                return i
+        known = ", ".join(suspect.label for suspect in self.suspects)
+        target = "" if cause.target is None else f":{cause.target}"
+        raise InputError(
+            f"Cause `{cause.effect.name}{target}` is none that this vehicle can have; take one of {known}."
+        )
 
     def neutral_of(self, i: int) -> np.ndarray:
         """Neutral values of a suspect's parameters, in the order of its slots."""

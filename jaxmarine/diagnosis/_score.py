@@ -7,6 +7,8 @@ from jaxtyping import Float, Int
 
 # Windows on either side that one disturbance may push alike.
 NEIGHBOURS = 3
+# Folds of a cross-validation, and windows in one stretch of a fold.
+FOLDS, STRETCH = 6, 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,14 +63,14 @@ def t_value(per_window: Float[np.ndarray, " windows"]) -> float:
     return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
 
 
-def blocks(windows: int, count: int = 6, size: int = 3) -> np.ndarray:
-    """The fold of each window: stretches of `size` windows dealt out to the folds in turn.
+def blocks(windows: int) -> np.ndarray:
+    """The fold of each window: stretches of some windows dealt out to the folds in turn.
 
     Each fold then sees the whole log, so that a slow signal (depth, heading) is not judged by
     extrapolation; the stretches' neighbours are left out of the fit by the caller.
     """
-    size = max(1, min(size, windows // (2 * count)))
-    return np.arange(windows) // size % min(count, windows)
+    size = max(1, min(STRETCH, windows // (2 * FOLDS)))
+    return np.arange(windows) // size % min(FOLDS, windows)
 
 
 def savings(

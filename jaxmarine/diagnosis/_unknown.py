@@ -32,6 +32,9 @@ MOST_BUMPS = 48
 SWINGS = 12
 # Pull to zero of a regressor's coefficient, relative to what the data say of it.
 RIDGE = 1e-3
+# Share of the strongest saving that another axis must have: a strong missing force reaches others through
+# the coupled mass.
+SMALLEST = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -254,12 +257,10 @@ def dependences(
     phi: float,
     undisturbed: Signals | None = None,
     samples: float = np.inf,
-    smallest: float = 0.02,
 ) -> tuple[Dependence, ...]:
     """Axes with a missing wrench that depends on signals, the strongest first.
 
-    - `phi`: dispersion of the scores (`_search.dispersion`); `smallest`: share of the strongest saving
-      that another axis must have, since a strong missing force reaches others through the coupled mass.
+    - `phi`: dispersion of the scores (`_search.dispersion`).
     - `undisturbed`: velocities as the commands alone give them. A disturbance moves the craft, so the
       measured velocity goes with it without being its cause; these do not. They are the instruments of
       an instrumental-variable regression (Young 2011): where they save nothing, nothing depends. Unless
@@ -276,7 +277,7 @@ def dependences(
         names, gain, tied = trials[axis]
         if gain.sum() < enough:
             break
-        if found and gain.sum() < smallest * found[0].saved:
+        if found and gain.sum() < SMALLEST * found[0].saved:
             break
         left.remove(axis)
         excess = k.stats.chi2.sum() - samples - sum(one.saved for one in found)

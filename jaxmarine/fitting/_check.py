@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import CHANNELS, DOFS, SENSORS
+from .._precision import need_double
+from .._types import DOFS
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle
@@ -163,10 +163,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
     if not logs:
         raise InputError("A check needs at least one log.")
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "A check needs double precision: call `jax.config.update('jax_enable_x64', True)` first."
-        )
+    need_double("A check")
     freed, scales = _diagonals(vehicle)
     acting = segments(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])))
@@ -176,8 +173,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
     task = window_task(freed, units, data, acting, split, False)
     refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
-    stated = {channel for kind, _ in vehicle.sensors for channel in SENSORS[kind]}
-    estimated = np.isfinite(noise) & np.array([name not in stated for name in CHANNELS])
+    estimated = np.isfinite(noise) & np.isnan(vehicle.stated_noise)
     if np.isfinite(refined.cost) and estimated.any():
         task = _at_residual(task, refined, estimated)
         refined = refine_windows(task, refined.z, refined.delta)

@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, PyTree
 
 from .._errors import InputError
+from .._precision import need_double
 from ..logs import Log, sensor_noise
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
@@ -127,10 +127,7 @@ def fit(
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
     if not logs:
         raise InputError("A fit needs at least one log.")
-    if not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "A fit needs double precision: call `jax.config.update('jax_enable_x64', True)` first."
-        )
+    need_double("A fit")
     if loss not in ("trajectory", "one_step"):
         raise ValueError(f"Argument `loss` must be trajectory or one_step, but is {loss!r}.")
     if starts not in ("estimated", "measured") or (starts == "measured" and loss == "one_step"):

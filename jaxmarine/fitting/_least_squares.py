@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from .._errors import InputError
+from .._precision import need_double
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._estimate import units
@@ -92,6 +94,9 @@ def least_squares(
     result, as it does that of `fit(..., loss="one_step")`.
     """
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
+    if not logs:
+        raise InputError("Least squares need at least one log.")
+    need_double("A fit")
     noise = noise_of(vehicle, logs) if noise is None else noise
     freed, scales = set_free(vehicle, free, entries=entries, linear=True)
     task = one_step(freed, units(freed, scales), logs, noise)

@@ -21,12 +21,14 @@ from ._linearise import Affine, Problem, Statistics, linearise
 
 # Damping of the initial states, as a share of that of the parameters.
 STATES = 1e-4
+# Decrease of the chi-square that is not worth a step: far below what a parameter's standard error costs.
+ATOL = 1e-2
 # Damping of the first step, where nothing is known of the ones before.
 LEAST_DAMPING = 1e-4
 
 
 class Task(eqx.Module):
-    """What is solved: the problem, the affine map of z, and a normal prior on z.
+    """What is solved: the problem, the affine map of z, and a normal prior on z around zero.
 
     `precision` is the prior's inverse variance; an unused z has precision 1 and an empty map.
     """
@@ -34,7 +36,6 @@ class Task(eqx.Module):
     problem: Problem
     affine: Affine
     precision: Float[Array, " z"]
-    mean: Float[Array, " z"]
 
 
 def _solved(system: tuple[Array, Array]) -> Array:
@@ -50,8 +51,7 @@ def residual_statistics(y: Unknowns, task: Task) -> tuple[Float[Array, ""], Stat
     """Half the chi-square with the prior, and the statistics of the windows."""
     z, delta = y
     stats = linearise(task.problem, task.affine.at(z), delta)
-    off = z - task.mean
-    return 0.5 * (stats.chi2.sum() + (task.precision * off * off).sum()), stats
+    return 0.5 * (stats.chi2.sum() + (task.precision * z * z).sum()), stats
 
 
 class _State(eqx.Module):
@@ -65,13 +65,14 @@ class _State(eqx.Module):
 class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
     """Damped Gauss-Newton on `residual_statistics`; damping as in `Trust`, scaled by Marquardt (1963).
 
-    It ends where the predicted decrease of the chi-square falls below `atol + rtol * chi-square`, where
-    damping of 1e8 finds no decrease, or after `limit` steps; these two and the damping that it starts with
-    come as options, traced, so that one compiled program serves a probe and a long fit.
+    It ends where the predicted decrease of the chi-square falls below `ATOL + rtol * chi-square`, where
+    damping of 1e8 finds no decrease, or after `limit` steps; `rtol`, `limit` and the damping that it starts
+    with come as options, traced, so that one compiled program serves a probe and a long fit.
     """
 
-    rtol: float = 1e-9
-    atol: float = 1e-2
+    # What optimistix asks of any minimiser; the options decide.
+    rtol: float = 0.0
+    atol: float = 0.0
     norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
@@ -98,7 +99,7 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         # took 5 steps without it, and did not converge in 25 with as much damping as z).
         softened = jax.vmap(lambda h: h + STATES * trust.damping * jnp.diag(jnp.diag(h)))(stats.h_xx)
         _, g, h = eqx.tree_at(lambda s: s.h_xx, stats, softened).reduced()
-        prior = args.precision * (z - args.mean)
+        prior = args.precision * z
         h = h.sum(0) + jnp.diag(args.precision)
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
         d_z = -jax.scipy.linalg.solve(h + trust.damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
@@ -110,7 +111,7 @@ class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
         )
         slope = (stats.g_x * d_x).sum() + (stats.g_z.sum(0) + prior) @ d_z
         predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, stats.h_xz, d_z) + 0.5 * bend)
-        small = 2 * predicted < self.atol + options["rtol"] * 2 * trust.cost
+        small = 2 * predicted < ATOL + options["rtol"] * 2 * trust.cost
         lost = ~jnp.isfinite(predicted) | (trust.damping > 1e8)
         return (
             y,
@@ -171,7 +172,6 @@ def refine_windows(
     z,
     delta,
     max_steps: int = 30,
-    atol: float = 1e-2,
     rtol: float = 1e-9,
     damping: float = LEAST_DAMPING,
 ) -> Refined:
@@ -181,14 +181,14 @@ def refine_windows(
         "rtol": jnp.asarray(rtol),
         "damping": jnp.asarray(damping, jnp.result_type(float)),
     }
-    return _refine_windows(task, z, delta, options, atol)
+    return _refine_windows(task, z, delta, options)
 
 
 @compiled
-def _refine_windows(task: Task, z, delta, options, atol: float) -> Refined:
+def _refine_windows(task: Task, z, delta, options) -> Refined:
     solution: Any = optx.minimise(
         residual_statistics,
-        WindowGaussNewton(atol=atol),
+        WindowGaussNewton(),
         (z, delta),
         task,
         options=options,

@@ -58,8 +58,8 @@ def fit_trajectory(
     noise: Float[np.ndarray, "18"],
     window: float,
     max_steps: int,
-    held: bool = False,
-    reject: bool = False,
+    held: bool,
+    reject: bool,
 ) -> Estimate:
     """Minimises the chi-square of the windows over z and all initial states, unless those are held.
 
@@ -90,6 +90,7 @@ def fit_trajectory(
 
 
 def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
+    """The task of all windows; `held`: each begins in the state that was measured."""
     vehicle, count = freed.vehicle, len(acting.gates)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
@@ -107,7 +108,6 @@ def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: 
             jnp.ones((count, units.map.shape[1])),
         ),
         jnp.asarray(units.precision),
-        jnp.zeros(len(units.precision)),
     )
 
 

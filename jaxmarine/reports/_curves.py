@@ -59,6 +59,7 @@ _UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
 _ANGLES = tuple(CHANNELS.index(name) for name in ATTITUDE)
 _DEGREES = 180.0 / np.pi
 _STEPS = 200  # that are drawn of one prediction
+_STARTS = 3  # of predictions that are drawn
 
 
 def shown_unit(channel: str) -> str:
@@ -153,7 +154,7 @@ def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts 18"]:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def typical_starts(predictions: Predictions, count: int = 3) -> tuple[int, ...]:
+def typical_starts(predictions: Predictions) -> tuple[int, ...]:
     """The starts whose error before is nearest to the median, in order of time; apart, where they can be."""
     misfit = _misfits(predictions)
     known = np.flatnonzero(np.isfinite(misfit).any(axis=1))
@@ -167,7 +168,7 @@ def typical_starts(predictions: Predictions, count: int = 3) -> tuple[int, ...]:
         if all(times[start, 0] > times[i, -1] or times[start, -1] < times[i, 0] for i in chosen):
             chosen.append(start)
     chosen += [start for start in ranked if start not in chosen]
-    return tuple(sorted(chosen[:count], key=lambda i: times[i, 0]))
+    return tuple(sorted(chosen[:_STARTS], key=lambda i: times[i, 0]))
 
 
 def measured_channels(predictions: Predictions) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
         sure=words.sureness(finding.log_evidence)
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,
-        deciding=words.deciding((finding.label, *rivals)) if rivals else "",
+        deciding=words.deciding((finding.label, *rivals), diagnosis.extended.placed) if rivals else "",
     )
 
 
@@ -175,14 +175,14 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
         sizes = [s.log_evidence for s in shown if math.isfinite(s.log_evidence)]
         largest = max([*sizes, words.VERY_STRONG])
         if shown:
-            out.append((i, len(suspects), [_row(s, taken, largest) for s in shown]))
+            out.append((i, len(suspects), [_row(s, taken, largest, diagnosis) for s in shown]))
     return out
 
 
-def _row(suspect: Weighed, taken: Weighed | None, largest: float) -> Row:
+def _row(suspect: Weighed, taken: Weighed | None, largest: float, diagnosis: Diagnosis) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
-    values = words.values(suspect.label, suspect.parameters)
+    values = words.values(suspect.label, suspect.parameters, diagnosis.extended.placed)
     begins = "" if suspect.since is None else f", since {number(suspect.since)} s"
     return Row(
         title=title(suspect.label) + begins,

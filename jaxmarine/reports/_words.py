@@ -7,17 +7,21 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from ..diagnosis._result import Diagnosis, Finding
-from ..effects import CATALOGUE
+from ..effects import CATALOGUE, AbstractEffect
 from ..vehicle import Placed
 from ._causes import signal, title, what
 from ._numbers import count, joined, number, percent, sentence, unit_on
 
 VERY_STRONG = 5.0  # log evidence, after Kass and Raftery (1995)
-_CLASSES = {effect.name: effect for effect in CATALOGUE}
+
+
+def _effects(placed: Sequence[Placed]) -> dict[str, type[AbstractEffect]]:
+    """The known effects by name, a user's own in the extended vehicle among them."""
+    return {effect.name: effect for effect in (*CATALOGUE, *(type(one.effect) for one in placed))}
 
 
 def advice(finding: Finding, depends_on: Sequence[str], placed: Sequence[Placed] = ()) -> str:
-    """What to look at on the boat; `placed`: the effects of the extended vehicle, a user's own among them."""
+    """What to look at on the boat; `placed`: the effects of the extended vehicle."""
     if finding.effect == "unknown":
         look = (
             f"Look for what changes with the {joined([signal(name) for name in depends_on])}."
@@ -28,8 +32,7 @@ def advice(finding: Finding, depends_on: Sequence[str], placed: Sequence[Placed]
             f"{look} Until its cause is known, the extended vehicle carries a term learned from "
             "the log: good for prediction, no explanation."
         )
-    known = _CLASSES | {one.effect.name: type(one.effect) for one in placed}
-    effect = known.get(finding.effect)
+    effect = _effects(placed).get(finding.effect)
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
@@ -59,11 +62,11 @@ def rivals(finding: Finding, groups: Iterable[Sequence[str]]) -> tuple[str, ...]
     return tuple(dict.fromkeys(found))
 
 
-def deciding(labels: Sequence[str]) -> str:
-    """Which manoeuvre shows which of these causes best."""
-    manoeuvres: dict[str, list[str]] = {}
+def deciding(labels: Sequence[str], placed: Sequence[Placed] = ()) -> str:
+    """Which manoeuvre shows which of these causes best; `placed` as in `advice`."""
+    effects, manoeuvres = _effects(placed), dict[str, list[str]]()
     for label in labels:
-        effect = _CLASSES.get(label.partition(":")[0])
+        effect = effects.get(label.partition(":")[0])
         if effect is not None and effect.shown_by:
             manoeuvres.setdefault(effect.shown_by, []).append(title(label))
     if len(manoeuvres) == 1:
@@ -81,10 +84,11 @@ def next_best(finding: Finding) -> str:
     return f"The next best, {title(best.label)}, has a log evidence of {number(best.log_evidence)}."
 
 
-def values(label: str, parameters: Mapping[str, float]) -> str:
-    """`factor 0.71`: the numbers of a suspect with their units."""
+def values(label: str, parameters: Mapping[str, float], placed: Sequence[Placed] = ()) -> str:
+    """`factor 0.71`: the numbers of a suspect with their units; `placed` as in `advice`."""
     name, _, target = label.partition(":")
-    units = _CLASSES[name].units if name in _CLASSES else {}
+    effect = _effects(placed).get(name)
+    units = {} if effect is None else effect.units
     return ", ".join(
         f"{key} {number(value)} {unit_on(units.get(key, ''), target or None)}".rstrip()
         for key, value in parameters.items()
