@@ -42,7 +42,7 @@ test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/basedpyright
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --no-loadscope-reorder
 
 clean:
 	rm -rf $(VENV) .cache .hypothesis .pytest_cache .ruff_cache demo-report

@@ -47,7 +47,7 @@ Row = dict[str, Any]
 
 # What is to be reached, in the order of the table: text, kind, graded by, share.
 TARGETS = (
-    ("one effect: first name right", "single", "first", 0.98),
+    ("one effect: first name right, or said to be indistinguishable from it", "single", "first", 0.98),
     ("one effect: whole answer right", "single", "whole", 0.95),
     ("two effects: both and nothing else", "pair", "whole", 0.90),
     ("nothing hidden: `nothing_found`", "null", "whole", 0.98),
@@ -91,14 +91,19 @@ def true_gain(vehicle: jm.Vehicle, train: jm.Log, test: jm.Log, answer: Row) -> 
     return gain_of(vehicle, train, test, causes).ratio
 
 
-def probability_of_first(diagnosis: Row) -> float | None:
-    """What the evidences say: the probability that the first name is the right one of those weighed."""
-    named = [f for f in diagnosis["findings"] if f["effect"] != "unknown"]
-    if not named:
-        return None
-    own = named[0]["log_evidence"]
-    others = [a["log_evidence"] - own for a in named[0]["alternatives"]]
-    return float(1.0 / (1.0 + np.exp(np.clip(others, -700, 700)).sum()))
+def sure(answer: Row, diagnosis: Row) -> Row:
+    """How sure the evidences are of the first name, and whether it is right by itself.
+
+    `probability`: that it is the right one of those weighed; None where nothing was named.
+    """
+    first = grading.first_judged(answer, diagnosis)
+    if first is None or first["effect"] == "unknown":
+        return {"probability": None, "own_name": False}
+    others = [a["log_evidence"] - first["log_evidence"] for a in first["alternatives"]]
+    return {
+        "probability": float(1.0 / (1.0 + np.exp(np.clip(others, -700, 700)).sum())),
+        "own_name": any(grading.own_name(first, h) for h in answer.get("findings", ())),
+    }
 
 
 def row(folder: Path) -> Row:
@@ -122,7 +127,7 @@ def row(folder: Path) -> Row:
         "verdict": diagnosis["verdict"],
         "found": [[f["effect"], f["target"], f["log_evidence"]] for f in diagnosis["findings"]],
         "depends_on": diagnosis["residual_after"]["depends_on"],
-        "probability": probability_of_first(diagnosis),
+        **sure(answer, diagnosis),
         "parameters": grading.parameter_errors(answer, diagnosis),
         "ratio": diagnosis["gain"]["ratio"],
         "true_ratio": true_ratio,
@@ -246,14 +251,14 @@ def _marked(ax, x: float, found: Row) -> None:
 
 
 def reliability(rows: Sequence[Row], path: Path) -> None:
-    """How often the first name is right against how sure the evidences are of it."""
+    """How often the first name is right by itself against how sure the evidences are of it."""
     said = [r for r in rows if r["probability"] is not None and detectable(r)]
     plot, ax = plt.subplots(figsize=(5, 4), layout="constrained")
     ax.plot([0, 1], [0, 1], color="0.6", lw=1)
     for low, high in itertools.pairwise([0.0, 0.5, 0.9, 0.99, 1.0 + 1e-9]):
         inside = [r for r in said if low <= r["probability"] < high]
         if inside:
-            _marked(ax, float(np.mean([r["probability"] for r in inside])), share(inside, "first"))
+            _marked(ax, float(np.mean([r["probability"] for r in inside])), share(inside, "own_name"))
     ax.set(
         xlabel="probability of the first name, by the evidences",
         ylabel="share of first names that are right",

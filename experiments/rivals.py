@@ -94,7 +94,7 @@ def named(bench: Workbench, suspects: Sequence[int]) -> list[tuple[str, str | No
 
 def fitted(bench: Workbench, model: Model, test: jm.Log) -> Row:
     """What a model with members says, and what they buy on the test log."""
-    ratio = _measured_gain(bench, model, (), test)[0].ratio
+    ratio = _measured_gain(bench, model, bool(model.members), (), test)[0].ratio
     return said(named(bench, [m.suspect for m in model.members]), ratio)
 
 
@@ -260,7 +260,7 @@ def black_box(case: Case, rounds: int) -> Row:
         (term,) = learn(k, (Dependence(int(axis), signals, (), 0.0, nothing, False),), names)
         terms.append(jm.Placed(term, term.target))
         k = _with_term(k, int(axis), term, signals)
-    return said((), _measured_gain(bench, model, terms, case.test)[0].ratio)
+    return said((), _measured_gain(bench, model, True, terms, case.test)[0].ratio)
 
 
 def _with_term(k: Knots, axis: int, term: LearnedWrench, signals: tuple[str, ...]) -> Knots:

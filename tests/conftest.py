@@ -6,6 +6,7 @@ from pathlib import Path
 import hypothesis
 import jax
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.
 jax.config.update("jax_enable_x64", True)
@@ -21,10 +22,18 @@ ROOT = Path(__file__).resolve().parent.parent
 DIAGNOSING = {f"test_{name}" for name in ("contradiction", "diagnosis", "hidden", "score", "unknown", "walk")}
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """Tells `pytest --dist loadgroup` which tests go to one process: those of a module."""
-    module = item.path.stem
-    item.add_marker(pytest.mark.xdist_group("diagnosing" if module in DIAGNOSING else module))
+def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadScopeScheduling:
+    """Deals tests out by module, and those that diagnose the same vehicles to one process.
+
+    By a scheduler of our own, as pytest 9.2 hides the groups of `--dist loadgroup` from pytest-xdist 3.8.
+    """
+
+    class ByModule(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = Path(nodeid.partition("::")[0]).stem
+            return "diagnosing" if module in DIAGNOSING else module
+
+    return ByModule(config, log)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,5 +1,6 @@
 """How a diagnosis compares with what was hidden."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,8 +28,26 @@ def matches(finding: Mapping[str, Any], hidden: Mapping[str, Any]) -> bool:
     )
 
 
+def own_name(finding: Mapping[str, Any], hidden: Mapping[str, Any]) -> bool:
+    """Whether a finding itself, whatever it cannot be told from, is what was hidden or equal to it."""
+    return matches({**finding, "alternatives": ()}, hidden)
+
+
+def first_judged(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The finding that the first name is: in a wrong file, false coefficients of it stand aside."""
+    hidden = answer.get("findings", ())
+    for finding in diagnosis["findings"]:
+        aside = kind(answer) == "misfit" and finding["effect"] in RECALIBRATIONS
+        if not aside or any(matches(finding, h) for h in hidden):
+            return finding
+    return None
+
+
 def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, bool]:
     """`first`: the first name is right; `whole`: all that was hidden is named, and nothing else.
+
+    A name is right where it, or a cause that it is said to be indistinguishable from, is what was hidden; one
+    finding stands for one cause.
 
     Outside the catalogue `first` means that the cause is said to be unknown, on an axis that is
     concerned, and nothing is named; `whole` that no other axis is, and that a right signal is among those
@@ -52,7 +71,10 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, 
     right = [any(matches(f, h) for h in hidden) for f in findings]
     aside = [kind(answer) == "misfit" and f["effect"] in RECALIBRATIONS for f in findings]
     judged = [r for r, a in zip(right, aside, strict=True) if r or not a]
-    all_found = all(any(matches(f, h) for f in findings) for h in hidden)
+    all_found = any(
+        all(matches(f, h) for f, h in zip(chosen, hidden, strict=True))
+        for chosen in itertools.permutations(findings, len(hidden))
+    )
     return {"first": bool(judged) and judged[0], "whole": all_found and all(judged)}
 
 

@@ -14,10 +14,7 @@ from ._judge import Judged
 from ._model import FILE_ERROR, Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import scatter, solve
-from ._search import ROUGH, STEPS, Round, penalty, putting_back
-
-# Difference in chi-square per dispersion below which two causes are not told apart (odds of 1 to 20).
-CLOSE = 6.0
+from ._search import CLOSE, ROUGH, STEPS, Round, penalty, putting_back
 
 
 def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
@@ -82,13 +79,16 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     """What coefficients that stay as filed, but may be off, add to the covariance of z.
 
     They are considered, not estimated (Schmidt 1966): the terms off the diagonals, and those on them unless
-    they were recalibrated (`dense`). Each has the spread that its prior and the logs leave it.
+    they were recalibrated (`dense`). z is off by `shift` times what they are off by, of which prior and logs
+    say a mean and a covariance.
     """
     members, count = now.model.members, len(bench.base)
     share = _wrong_by(bench, now.model)
     named = {bench.layout.suspects[m.suspect].label for m in members}
-    h = now.knots.wrench(couplings(bench.vehicle, now.knots.places)).h.sum(0)
+    stats = now.knots.wrench(couplings(bench.vehicle, now.knots.places))
+    g, h = stats.g.sum(0), stats.h.sum(0)
     width = now.knots.width
+    g[:width] += now.knots.precision * now.knots.offset
     filed = [] if dense else [j for j, c in enumerate(bench.base) if c.label not in named]
     estimated = np.arange(0 if dense else count, width)
     doubted = np.array([*filed, *range(width, len(h))], dtype=int)
@@ -96,8 +96,11 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     across = h[np.ix_(estimated, doubted)] * size
     shift = solve(h[np.ix_(estimated, estimated)] + np.diag(now.knots.precision[estimated]), across)
     told = size[:, None] * h[np.ix_(doubted, doubted)] * size - across.T @ shift
+    slope = size * g[doubted] - shift.T @ g[estimated]
+    covariance = solve(told / now.phi + np.eye(len(told)), np.eye(len(told)))
+    mean = -covariance @ slope / now.phi
     out = np.zeros((width, width))
-    out[np.ix_(estimated, estimated)] = shift @ solve(told / now.phi + np.eye(len(told)), shift.T)
+    out[np.ix_(estimated, estimated)] = shift @ (covariance + np.outer(mean, mean)) @ shift.T
     return out
 
 

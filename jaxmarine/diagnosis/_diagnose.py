@@ -23,7 +23,7 @@ from ._judge import Judged, judged
 from ._kinematics import contradiction, disagreement
 from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
+from ._model import SLOTS, Beginning, Member, Model, Workbench, filled, same_log
 from ._progress import Progress, silent
 from ._result import Diagnosis, Finding, Gain, Verdict
 from ._saturated import saturate
@@ -94,6 +94,8 @@ def diagnose(
         raise InputError("A diagnosis needs at least one training log.")
     need_double("A diagnosis")
     notes = [note for log in (*logs, test) for note in log.notes]
+    logs, test, doubled = _named_apart(logs, test)
+    notes += doubled
     _moving(logs)
     bench = _workbench(vehicle, logs, catalogue, window)
     notes += _stuck(bench)
@@ -109,7 +111,7 @@ def diagnose(
     begun, told = _begun(bench)
     notes += told
     bench = _rescaled(bench, begun)
-    base = bench.refine(begun)
+    base = bench.fitted(begun)
     rival = _Unnamed(bench)
     found = search(bench, base, progress, rival.better)
     rounds = found.rounds
@@ -122,7 +124,7 @@ def diagnose(
         rest, share = _left_over(bench, now, unknown), WITH_UNKNOWN if unknown else ALONE
         if (now.model.members or dense) and not now.white and rival.leaves_less(rest, share):
             now, unknown, dense = rival.judged, rival.dependences, False
-    at_home = _gain_at_home(bench, now.model)
+    at_home = _gain_at_home(bench, now.model, dense)
     if at_home > 1.0:
         now, unknown, dense, at_home = rival.judged, rival.dependences, False, 1.0
         notes.append(
@@ -142,14 +144,16 @@ def diagnose(
             for one in unknown
             if one.dof not in {term.target for term in learned}
         ]
-        if terms and _gain_at_home(bench, model, terms) > at_home:
+        if terms and _gain_at_home(bench, model, dense, terms) > at_home:
             terms = ()
             notes.append(
                 "What was learned of it predicts the training log worse than nothing; it was left out."
             )
     extended = extended.place(*terms)
     progress("predicting the test log")
-    measured = _measured_gain(bench, model, terms, test)
+    # Where nothing is found the file is what is measured, even if its coefficients were refitted.
+    changed = bool(model.members or terms or (dense and unknown))
+    measured = _measured_gain(bench, model, changed, terms, test)
     if measured[0].ratio_ci95[0] > 1.0:
         notes.append(
             f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
@@ -249,6 +253,23 @@ def _workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float |
     return bench
 
 
+def _named_apart(logs: Sequence[Log], test: Log) -> tuple[tuple[Log, ...], Log, list[str]]:
+    """The logs with names of their own, by which a beginning says in which log it lies; and notes of changes.
+
+    A test log keeps the name of the training log that it is.
+    """
+    met, out, notes = dict[str, int](), [], []
+    for log in (*logs, test):
+        twin = next((one for one in out if log is test and same_log(one, log)), None)
+        count = met[log.name] = met.get(log.name, 0) + 1
+        if count > 1 and twin is None:
+            name = f"{log.name} ({count})"
+            notes.append(f"Another log is called {log.name} too; this one is `{name}` here.")
+            log = dataclasses.replace(log, name=name)
+        out.append(log)
+    return tuple(out[:-1]), out[-1], notes
+
+
 def _moving(logs: Sequence[Log]) -> None:
     """Refuses training logs in which nothing changes: whatever explained them would be made up."""
     seen = np.concatenate([log.channels for log in logs])
@@ -316,7 +337,7 @@ def _rescaled(bench: Workbench, begun: Model) -> Workbench:
         bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
     # Such residuals are alike from sample to sample: each weighs as little against the priors as their
     # scores scatter.
-    model = bench.refine(begun)
+    model = bench.fitted(begun)
     alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
     return _weighted(bench, free, alike * bench.noise[free])
 
@@ -356,7 +377,10 @@ def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: flo
     for i, member in enumerate(model.members):
         trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
         for trial in trials[0][1 : 1 + RIVALS] if trials else ():
-            if trial.member.suspect in {m.suspect for m in model.members}:
+            suspect, less = trial.member.suspect, bench.without_member(model, i)
+            if suspect in {m.suspect for m in model.members} or suspect not in bench.open(less):
+                continue
+            if trial.member.since is not None and not bench.may_begin(less, suspect):
                 continue
             value = trial.model.z[bench.slices(trial.model.members)[-1]]
             other = bench.refine(bench.with_other(model, i, trial.member, value), STEPS)
@@ -400,21 +424,21 @@ def _settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, 
     phi = dispersion(bench, model, bench.screen(model))
     rounds = found.rounds + more
     model = _pruned(bench, _reweighed(bench, model, rounds, phi))
-    return _without_harm(bench, model), dense, rounds
+    return _without_harm(bench, model, dense), dense, rounds
 
 
-def _without_harm(bench: Workbench, model: Model) -> Model:
+def _without_harm(bench: Workbench, model: Model, dense: bool) -> Model:
     """The model without members beside which it predicts the training log worse over 5 s than without them.
 
     Windows are shorter, and a member that takes up what is left in them may run away over more.
     """
     if len(model.members) < 2:
         return model
-    own = _gain_at_home(bench, model)
+    own = _gain_at_home(bench, model, dense)
     for i in reversed(range(len(model.members))):
         less = bench.refine(bench.without_member(model, i))
-        if _gain_at_home(bench, less) < HARMS * own:
-            return _without_harm(bench, _pruned(bench, less))
+        if _gain_at_home(bench, less, dense) < HARMS * own:
+            return _without_harm(bench, _pruned(bench, less), dense)
     return model
 
 
@@ -556,27 +580,30 @@ def gain_of(
                 )
             since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
-    return _measured_gain(bench, bench.refine(model), (), test)[0]
+    return _measured_gain(bench, bench.refine(model), bool(causes), (), test)[0]
 
 
-def _gain_at_home(bench: Workbench, model: Model, terms: Sequence[Placed] = ()) -> float:
-    """The error over that of the file on the longest training log; 1 where nothing is added or it is short.
+def _gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:
+    """The error over that of the file on the longest training log; 1 where nothing changes or it is short.
 
     A window is forgiving: what is fitted to a few seconds may be unstable when it acts for longer.
+
+    - `dense`: the file's coefficients were recalibrated.
     """
     log = max(bench.data.logs, key=lambda log: log.duration)
-    if log.duration < LEAST or not (model.members or terms):
+    changed = bool(model.members or terms or dense)
+    if log.duration < LEAST or not changed:
         return 1.0
-    return _measured_gain(bench, model, terms, log)[0].ratio
+    return _measured_gain(bench, model, changed, terms, log)[0].ratio
 
 
-def _measured_gain(bench: Workbench, model: Model, terms: Sequence[Placed], test: Log):
-    """The gain on the test log of the members and of terms that were learned."""
+def _measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], test: Log):
+    """The gain on the test log of the model and of terms that were learned; `changed`: beside the file."""
     stretches = bench.stretches(model.members, test)
     gates = filled(stretches.gates)
     neutral = np.tile(bench.layout.neutral, (len(gates), 1))
     candidates = [Candidate(bench.vehicle, bench.families, neutral, gates)]
-    if model.members or terms:
+    if changed:
         vehicle = bench.vehicle.place(*terms)
         gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
         theta, phases = bench.theta(model, stretches), bench.phases(model.members)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from .._types import CHANNELS
 from ..effects import AbstractEffect, Readings, SensorEffect, Suspect, place
 from ..fitting import levenberg_marquardt
-from ..logs import Log
+from ..logs import Log, reachable
 from ..vehicle import Vehicle
 from ._score import t_value
 
@@ -59,7 +59,9 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     locked = vehicle.free == 0
     size = max(2, round(SPAN / float(np.median([log.dt for log in logs]))))
     for log in logs:
-        poses = np.where(locked, 0.0, log.channels[:, :6])
+        # A boat with surge and yaw goes east as well.
+        still = ~np.append(reachable(vehicle.free > 0), vehicle.free[3:] > 0)
+        poses = np.where(still, 0.0, log.channels[:, :6])
         for first in range(0, len(log.t) - size, size):
             here = slice(first, first + size + 1)
             span = log.t[first + size] - log.t[first]

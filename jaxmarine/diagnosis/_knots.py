@@ -10,10 +10,13 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from ._model import KNOT, Model, Workbench
+from ._model import Model, Workbench
 from ._result import MissingWrench
 from ._score import Reduced, solve
 from ._signals import Places
+
+# Waves are looked for over this much of a log [s]: swell is hardly in step with itself for longer.
+COHERENT = 1800.0
 
 
 def on_axis(
@@ -79,7 +82,7 @@ def knots(bench: Workbench, model: Model) -> Knots:
 def missing_wrench(k: Knots) -> MissingWrench:
     """The missing wrench over time with its standard deviation, each window by itself.
 
-    A weak pull to zero (a tenth of the information, at least) keeps neighbouring knots that the window
+    A weak pull to zero (by a fiftieth of the information) keeps neighbouring knots that the window
     cannot tell apart from running against each other.
     """
     n = k.width
@@ -105,28 +108,36 @@ def missing_wrench(k: Knots) -> MissingWrench:
 
 
 def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
-    """What a swinging force of the best period would save, and its parameters to start a fit from."""
-    windows, count = k.places.t.shape
-    longest = 0.5 * (k.places.t.max() - k.places.t.min())
-    periods = np.geomspace(4 * KNOT, max(longest, 8 * KNOT), 160)
-    north = np.swapaxes(k.places.rotation, 2, 3)[:, :, :, 0]
-    east = np.swapaxes(k.places.rotation, 2, 3)[:, :, :, 1]
+    """What a swinging force of the best period would save, and its parameters to start a fit from.
+
+    Along the longest log, as a phase means nothing in another one. Periods are as dense as the log tells them
+    apart; of a very long log its beginning is enough.
+    """
+    longest = max(np.unique(k.places.log), key=lambda i: np.ptp(k.places.t[k.places.log == i]))
+    t = k.places.t
+    begin = t[k.places.log == longest].min()
+    here = (k.places.log == longest) & (t[:, 0] <= begin + COHERENT)
+    t, span = t[here], np.ptp(t[here])
+    knot = float(np.median(np.diff(t, axis=1)))
+    slowest = min(2.0 / span, 1.0 / (8 * knot))
+    frequencies = np.arange(slowest, 1.0 / (4 * knot), 0.3 / span)
+    stats = _horizontal(k, here)
+    n, count = k.width, t.shape[1]
+    h_z = stats.h[:, :n, :n].sum(0) + np.diag(k.precision)
+    g_z = stats.g[:, :n].sum(0) + k.precision * k.offset
+    inverse = solve(h_z, np.eye(n))
+    # Knots times (north, east).
+    g = stats.g[:, n:].reshape(-1, count, 2)
+    cross = stats.h[:, :n, n:].reshape(len(t), n, count, 2)
+    own = stats.h[:, n:, n:].reshape(-1, count, 2, count, 2)
     best = (-np.inf, {})
-    n = k.width
-    for period in periods:
-        angle = 2 * np.pi * k.places.t / period
-        values = np.zeros((windows, count, 6, 4))
-        for j, (axis, swing) in enumerate(
-            (a, s) for a in (north, east) for s in (np.sin(angle), np.cos(angle))
-        ):
-            values[:, :, :3, j] = axis * swing[:, :, None]
-        stats = k.wrench(values)
-        h, g = stats.h.sum(0), stats.g.sum(0)
-        h[:n, :n] += np.diag(k.precision)
-        g[:n] += k.precision * k.offset
-        x = solve(h[:n, :n], h[:n, n:])
-        own_h, own_g = h[n:, n:] - x.T @ h[:n, n:], g[n:] - x.T @ g[:n]
-        step = -solve(own_h, own_g)
+    for frequency in frequencies:
+        angle = 2 * np.pi * frequency * t
+        swing = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+        across = np.einsum("wnka,wks->nas", cross, swing, optimize=True).reshape(n, 4)
+        own_h = np.einsum("wkalb,wks,wlr->asbr", own, swing, swing, optimize=True).reshape(4, 4)
+        own_g = np.einsum("wka,wks->as", g, swing).ravel() - across.T @ inverse @ g_z
+        step = -solve(own_h - across.T @ inverse @ across, own_g)
         saved = float(-own_g @ step)
         if saved > best[0]:
             # One phase for both axes: the direction in which (sin, cos) parts are largest.
@@ -141,8 +152,18 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
                 {
                     "north": float(size[0]),
                     "east": float(size[1]),
-                    "period": float(period),
+                    "period": float(1.0 / frequency),
                     "phase": phase,
                 },
             )
     return best
+
+
+def _horizontal(k: Knots, here: np.ndarray) -> Reduced:
+    """Statistics of z and of a force to the north and one to the east at each knot, of some windows."""
+    count = k.places.t.shape[1]
+    axes = np.swapaxes(k.places.rotation[here], 2, 3)[..., :2]
+    values = np.zeros((len(axes), count, 6, count, 2))
+    values[:, range(count), :3, range(count)] = np.swapaxes(axes, 0, 1)
+    some = dataclasses.replace(k, stats=Reduced(k.stats.chi2[here], k.stats.g[here], k.stats.h[here]))
+    return some.wrench(values.reshape(len(axes), count, 6, 2 * count))

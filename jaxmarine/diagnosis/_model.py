@@ -135,7 +135,8 @@ class Workbench:
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
         self.window_log = np.asarray(data.windows.log)
         self.room = Room.of(data.records, data.windows)
-        self.knots = max(2, round(data.length / KNOT))
+        # No more than samples: a knot without one would stand for nothing.
+        self.knots = min(max(2, round(data.length / KNOT)), data.windows.step.shape[1])
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, Reduced] | None = None
         records, windows = self.room.filled(data.records, data.windows)
@@ -194,7 +195,7 @@ class Workbench:
 
     def twin(self, test: Log) -> int | None:
         """Which training log a test log is, if it is one."""
-        return next((i for i, log in enumerate(self.data.logs) if _same(log, test)), None)
+        return next((i for i, log in enumerate(self.data.logs) if same_log(log, test)), None)
 
     def _stretches(
         self, members: Sequence[Member], logs: Sequence[Log], positions: Sequence[int], own: Segments
@@ -305,6 +306,16 @@ class Workbench:
         damping = float(out.damping)
         return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, promised=promised, damping=damping)
 
+    def fitted(self, model: Model) -> Model:
+        """The model refined; raises `InputError` where the vehicle runs away along the logs."""
+        out = self.refine(model)
+        if not np.isfinite(out.cost):
+            raise InputError(
+                f"{self.data.logs[0].name}: the simulation of {self.vehicle.name} runs away on it; check the "
+                "signs of damping and added mass."
+            )
+        return out
+
     def frozen(self, model: Model) -> Model:
         """The model with the file's coefficients held at their values."""
         return dataclasses.replace(model, frozen=True)
@@ -372,7 +383,8 @@ class Workbench:
                 return False
             if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
                 return False
-            if float(jnp.min(jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation]))) < -1e-9:
+            limits = jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation])
+            if float(jnp.min(limits, initial=0.0)) < -1e-9:
                 return False
         return True
 
@@ -462,7 +474,8 @@ def filled(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows, np.repeat(rows[-1:], SEGMENTS - len(rows), axis=0)])
 
 
-def _same(a: Log, b: Log) -> bool:
+def same_log(a: Log, b: Log) -> bool:
+    """Whether two logs are of the same channels and values."""
     return a.channels.shape == b.channels.shape and bool(
         np.array_equal(a.channels, b.channels, equal_nan=True)
     )

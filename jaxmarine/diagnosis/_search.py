@@ -33,6 +33,8 @@ MOST = 6
 MARGIN = 12.0
 # A finding must save this many standard errors (over windows) of chi-square.
 SIGMAS = 2.0
+# Chi-square per dispersion within which two causes are not told apart (odds of 1 to 20).
+CLOSE = 6.0
 # Chi-square that some suspect must save before the costly starts are tried.
 PROBED = 20.0
 
@@ -293,7 +295,16 @@ def search(
             phi = dispersion(bench, exact, after)
             accepted = significant(bench, winner, stats, after, phi)
             if accepted:
-                trials = [winner, *(t for t in trials if t is not trial)]
+                others = [t for t in trials if t is not trial]
+                trials = _by_evidence(bench, model, winner, others, phi)
+                if trials[0] is not winner:
+                    # By the evidence, which knows how far the scores scatter, another one was better.
+                    stats_of = bench.screen(trials[0].model)
+                    phi_of = dispersion(bench, trials[0].model, stats_of)
+                    if significant(bench, trials[0], stats, stats_of, phi_of):
+                        after, phi = stats_of, phi_of
+                    else:
+                        trials = [winner, *(t for t in trials if t is not winner)]
                 break
         rounds.append(Round(_once(trials), accepted, phi))
         if not accepted:
@@ -302,6 +313,25 @@ def search(
         if len(model.members) > 1 and hopeless(model):
             break
     return Found(model, stats, tuple(rounds))
+
+
+def _by_evidence(
+    bench: Workbench, model: Model, winner: Trial, others: Sequence[Trial], phi: float
+) -> list[Trial]:
+    """All trials, the best by evidence first; those that may be as good as the winner refitted to the end."""
+
+    def chi2(trial: Trial, saved: float) -> float:
+        return saved / phi - penalty(bench, trial.member)
+
+    out, least = [winner], chi2(winner, winner.saved) - CLOSE
+    for trial in others:
+        hoped = trial.saved + 2 * max(trial.model.cost - trial.model.promised, 0.0)
+        if chi2(trial, hoped) > least:
+            exact = bench.refine(trial.model)
+            if np.isfinite(exact.cost) and bench.sound(exact):
+                trial = Trial(trial.member, exact, 2 * (model.cost - exact.cost))
+        out.append(trial)
+    return sorted(out, key=lambda t: -chi2(t, t.saved))
 
 
 def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:

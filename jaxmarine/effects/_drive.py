@@ -14,6 +14,9 @@ from .._types import Scalar
 from ..physics import Drive
 from ._base import Craft, DriveEffect, Suspect, scalar
 
+# A limit of commands that none reaches.
+_NO_LIMIT = 10.0
+
 
 def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
     """The single suspect of an effect with one number for all thrusters."""
@@ -78,7 +81,7 @@ class Deadband(DriveEffect):
 
 
 class Saturation(DriveEffect):
-    """Large commands are clipped at `limit`. Neutral: 10, beyond which no command lies.
+    """Large commands are clipped at `limit`. Neutral: 10, from which on it leaves the file's limit alone.
 
     Source: amplitude limit of the actuator; Fossen (2021), sec. 9.1.
     """
@@ -94,14 +97,16 @@ class Saturation(DriveEffect):
     @classmethod
     def neutral(cls, craft: Craft) -> Self:
         del craft
-        return cls(scalar(10.0))
+        return cls(scalar(_NO_LIMIT))
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         return _one(cls, craft, "limit", 0.8, 0.5, 0.3, 0.2)
 
     def __call__(self, drive: Drive) -> Drive:
-        return dataclasses.replace(drive, saturation=jnp.minimum(drive.saturation, self.limit))
+        clipped = jnp.minimum(drive.saturation, self.limit)
+        saturation = jnp.where(self.limit < _NO_LIMIT, clipped, drive.saturation)
+        return dataclasses.replace(drive, saturation=saturation)
 
 
 class ThrustCurve(DriveEffect):

@@ -13,4 +13,5 @@ from ._noise import sensor_noise as sensor_noise
 from ._read import read_log as read_log
 from ._read import write_log as write_log
 from ._states import StateTrack as StateTrack
+from ._states import reachable as reachable
 from ._states import smooth_states as smooth_states

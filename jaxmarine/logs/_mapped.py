@@ -20,8 +20,8 @@ from ._table import Table, numbers, place, read_table
 
 # Beyond any quantity of a vehicle in SI units: times in nanoseconds, sentinels such as 1e38.
 _ABSURD = 1e12
-# A clock that shows more than this counts from 1970, not from when it was started [s].
-_SINCE_1970 = 1e9
+# A clock that shows more than this counts from 1970, not from when it was started; and until when it can [s].
+_SINCE_1970, _YEAR_3000 = 1e9, 3.25e10
 
 
 class MappedFile:
@@ -208,10 +208,8 @@ def _on_one_clock(
     ours = in_our_axes(ordered, columns.frame, path)
     main = free_poses(tuple(vehicle.dof)) + free_velocities(tuple(vehicle.dof))
     t, found, done = on_one_clock(ours, main, (*vehicle.command_names, *WRENCH), columns.time.dt, path)
-    if t[0] > _SINCE_1970:
-        start = datetime.datetime.fromtimestamp(t[0], datetime.UTC)
-        notes.append(f"Time 0 of the log is {start:%Y-%m-%d %H:%M:%S.%f} UTC.")
-        t = t - t[0]
+    t, told = from_start(t)
+    notes += told
     table = {name: pd.Series(values) for name, values in ({"t": t} | found).items()}
     return MappedFile(
         path,
@@ -221,6 +219,14 @@ def _on_one_clock(
         {name: labels.get(name, f"`{name}`") for name in table},
         lambda row: f"the row of t = {t[row]:.6g} s",
     )
+
+
+def from_start(t: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Times counted from the first one, with a note, where they are counted from 1970."""
+    if not _SINCE_1970 < t[0] < _YEAR_3000:
+        return t, []
+    start = datetime.datetime.fromtimestamp(t[0], datetime.UTC)
+    return t - t[0], [f"Time 0 of the log is {start:%Y-%m-%d %H:%M:%S.%f} UTC."]
 
 
 def _as_named(names: Iterable[str]) -> dict[str, ColumnSource]:

@@ -13,7 +13,7 @@ from .._types import ATTITUDE, CHANNELS, WRENCH
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
-from ._mapped import MappedFile, open_mapped
+from ._mapped import MappedFile, from_start, open_mapped
 from ._table import write_table
 
 # Fewer samples than this hold no window that could be compared with a simulation.
@@ -99,6 +99,8 @@ def _time(file: MappedFile) -> np.ndarray:
             f"{float(t[row])!r} s in {file.place(row)}, after {float(t[row - 1])!r} s; sort the rows "
             "and remove repeated ones."
         )
+    t, told = from_start(t)
+    file.notes.extend(told)
     return t
 
 

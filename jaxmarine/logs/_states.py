@@ -49,7 +49,7 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
         is_angle = CHANNELS[index] in ATTITUDE
         samples = _without_gaps(log.t, log.channels[:, index], is_angle)
         value[:, index], slope[:, index] = _local_polynomial(log.t, samples, half)
-    pose_free = np.append(_reachable(free), free[3:])
+    pose_free = np.append(reachable(free), free[3:])
     value[:, :6] *= pose_free
     slope[:, :6] *= pose_free
     value[:, 6:] *= free
@@ -82,7 +82,7 @@ def rotations(attitude: Float[np.ndarray, "times 3"]) -> Float[np.ndarray, "time
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _reachable(free: np.ndarray) -> np.ndarray:
+def reachable(free: np.ndarray) -> np.ndarray:
     """Which of north, east and down can change: a boat with surge and yaw goes east as well."""
     surge, sway, heave, roll, pitch, yaw = free
     return np.array(

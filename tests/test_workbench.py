@@ -1,0 +1,212 @@
+"""Craft and logs unlike the packaged ones, and the sums that no whole diagnosis shows by itself."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.blind.grading import first_judged, grade
+from jaxmarine._errors import InputError
+from jaxmarine.diagnosis import _answer, diagnose
+from jaxmarine.diagnosis._diagnose import _named_apart, _workbench
+from jaxmarine.diagnosis._judge import Judged
+from jaxmarine.diagnosis._kinematics import kinematics
+from jaxmarine.diagnosis._knots import Knots, wave_start
+from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._score import Reduced
+from jaxmarine.diagnosis._signals import Places
+from jaxmarine.effects import CATALOGUE, Saturation
+from jaxmarine.physics import thrust
+from jaxmarine.vehicle import Placed, Thrusters
+from tests.boats import boat, record, steps
+
+NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
+                       for f in dataclasses.fields(Thrusters)})  # fmt: skip
+
+
+def test_a_craft_without_thrusters_can_be_weighed():
+    """Driven by a logged wrench; least of no limits is none."""
+    driven = record(boat(), steps())
+    towed = dataclasses.replace(boat(), thrusters=NOTHING, thruster_names=())
+    log = dataclasses.replace(driven, commands=None, wrench=np.zeros((len(driven.t), 6)), thrusters=())
+    bench = _workbench(towed, (log,), CATALOGUE, None)
+    assert bench.sound(bench.start())
+
+
+def test_every_knot_of_a_slow_log_has_a_sample_of_its_own():
+    bench = _workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
+    assert bench.knots == bench.data.windows.step.shape[1] == 12
+    assert (np.diff(bench.places.t, axis=1) == 1.0).all()
+
+
+def test_a_vehicle_that_runs_away_is_told_so():
+    """A damping with the sign of SNAME; against a run of the same vehicle, which must run away too."""
+    wrong = boat()
+    wrong = dataclasses.replace(
+        wrong, damping=dataclasses.replace(wrong.damping, quadratic=-5 * wrong.damping.quadratic)
+    )
+    log = record(boat(), steps())
+    bench: Any = _workbench(wrong, (log,), CATALOGUE, None)
+    bench.refine = lambda model: dataclasses.replace(model, cost=np.inf)
+    with pytest.raises(InputError, match="runs away on it; check the signs"):
+        bench.fitted(bench.start())
+
+
+def test_commands_beyond_ten_are_those_of_the_file():
+    """Neutral changes nothing, whatever the unit of the commands."""
+    percent = boat()
+    limits = dataclasses.replace(percent.thrusters, saturation=jnp.full(3, 100.0))
+    percent = dataclasses.replace(percent, thrusters=limits)
+    t, commands = jnp.arange(3.0), jnp.full((3, 3), 50.0)
+
+    def pushed(vehicle):
+        drive = jax.tree.map(lambda a: jnp.broadcast_to(a, (3, 3)), vehicle.plant().drive)
+        return np.asarray(thrust(drive, t, commands).instant)
+
+    neutral = percent.place(Placed(Saturation.neutral(percent)))
+    assert (pushed(neutral) == pushed(percent)).all()
+    assert np.allclose(pushed(percent), 50.0 * np.array([40.0, 40.0, 30.0]))
+
+
+def test_logs_of_one_name_are_told_apart_and_a_log_tested_on_itself_keeps_its_own():
+    one, other = (record(boat(), steps(seed=i), seed=i) for i in range(2))
+    (first, second), test, notes = _named_apart((one, other), one)
+    assert (first.name, second.name, test.name) == ("log.csv", "log.csv (2)", "log.csv")
+    assert notes == ["Another log is called log.csv too; this one is `log.csv (2)` here."]
+    _, test, _ = _named_apart((one,), other)
+    assert test.name == "log.csv (2)"
+
+
+def test_a_diagnosis_without_logs_or_in_single_precision_is_refused(monkeypatch):
+    log = record(boat(), steps())
+    with pytest.raises(InputError, match="at least one training log"):
+        diagnose(boat(), (), log)
+    monkeypatch.setattr("jax.config.read", lambda name: False)
+    with pytest.raises(ValueError, match="A diagnosis needs double precision"):
+        diagnose(boat(), log, log)
+
+
+def test_a_boat_that_cannot_sway_still_goes_east():
+    """The motion that positions show, on a circle at 1 m/s, against that speed."""
+    t = np.arange(0.0, 60.0, 0.1)
+    psi = 0.2 * t
+    channels = np.full((len(t), 18), np.nan)
+    channels[:, 0], channels[:, 1] = np.sin(psi) / 0.2, -np.cos(psi) / 0.2
+    channels[:, 5], channels[:, 6], channels[:, 11] = psi, 1.0, 0.2
+    channels[:, 2:5] = 0.0
+    log = dataclasses.replace(record(boat(), steps(len(t))), channels=channels)
+    seen = kinematics(boat(("surge", "yaw")), (log,))
+    assert seen is not None
+    # The mean motion over a stretch is its chord, shorter than the arc by a share of (0.2 rad)² / 24.
+    mean = np.einsum("sij,sj->si", seen.rotation[:, 0], seen.nu[:, 0, :3])
+    assert np.allclose(np.linalg.norm(mean, axis=1), 1.0, atol=0.002)
+
+
+# --- sums ----------------------------------------------------------------------------------------
+
+
+def _of_jacobian(jacobian: np.ndarray, residual: np.ndarray) -> Reduced:
+    return Reduced(
+        (residual**2).sum(1),
+        np.einsum("wri,wr->wi", jacobian, residual),
+        np.einsum("wri,wrj->wij", jacobian, jacobian),
+    )
+
+
+def _places(t: np.ndarray) -> Places:
+    """Level, heading north, of one log."""
+    shape = t.shape
+    return Places(
+        log=np.zeros(len(t), int),
+        t=t,
+        rotation=np.broadcast_to(np.eye(3), (*shape, 3, 3)),
+        velocity=np.zeros((*shape, 6)),
+        signals={},
+        played={},
+    )
+
+
+@pytest.mark.parametrize("doubted", [0.3, 3.0])
+def test_intervals_hold_what_doubted_coefficients_shift(monkeypatch, doubted):
+    """By draws: two numbers are estimated as if three others, which are wrong, were right.
+
+    `doubted`: size of what the wrong ones do to a sample, in units of its noise.
+    """
+    rng = np.random.default_rng(0)
+    windows, rows, draws = 20, 15, 300
+    values = np.zeros((windows, 1, 6, 3))
+    values[:, 0, range(3), range(3)] = 1.0
+    monkeypatch.setattr(_answer, "couplings", lambda vehicle, places: values)
+    bench: Any = object.__new__(Workbench)
+    bench.base, bench.vehicle, bench.layout = (), boat(), SimpleNamespace(suspects=())
+    held, errors = [], []
+    for _ in range(draws):
+        jacobian = rng.normal(size=(windows, rows, 2 + 6))
+        # The wrong ones push where the estimated ones do, too.
+        jacobian[:, :, 2:5] += jacobian[:, :, :1]
+        truth = rng.normal(size=3)
+        jacobian[:, :, 2:5] *= doubted / _answer.FILE_ERROR
+        wrong = _answer.FILE_ERROR * truth
+        y = jacobian[:, :, 2:5] @ wrong + rng.normal(size=(windows, rows))
+        flat = jacobian[:, :, :2].reshape(-1, 2)
+        z = np.linalg.lstsq(flat, y.ravel())[0]
+        residual = (flat @ z - y.ravel()).reshape(windows, rows)
+        knots = Knots(
+            _of_jacobian(jacobian, residual),
+            2,
+            np.full(2, 1e-9),
+            np.zeros(2),
+            np.ones(6),
+            _places(np.zeros((windows, 1))),
+        )
+        phi = float((residual**2).mean())
+        now = Judged(Model((), z, jnp.zeros((windows, 12)), 0.0), knots.stats, phi, knots, False)
+        white = np.linalg.inv(flat.T @ flat)
+        std = np.sqrt(np.diag(white + _answer._considered(bench, now, False)))
+        held.append(np.abs(z) < 1.96 * std)
+        errors.append(np.abs(z) / np.sqrt(np.diag(white)))
+    # Without them the intervals would hold far less often than they say.
+    assert np.mean(np.array(errors)[:, 0] < 1.96) < 0.75
+    # 300 draws of 95 % leave 92.5 % in one of fifty runs.
+    assert np.mean(held, axis=0).min() > 0.925
+
+
+@pytest.mark.parametrize(("length", "period"), [(300.0, 3.7), (600.0, 5.3), (1200.0, 8.9)])
+def test_a_swell_is_found_in_a_long_log(length, period):
+    """A force to the north and east at knots of unit information, against its own period and size."""
+    t = np.arange(0.25, length, 0.5).reshape(-1, 8)
+    windows, count = t.shape
+    force = np.zeros((windows, count, 6))
+    swing = np.sin(2 * np.pi * t / period + 0.7)
+    force[..., 0], force[..., 1] = 2.0 * swing, -1.0 * swing
+    identity = np.broadcast_to(np.eye(6 * count), (windows, 6 * count, 6 * count))
+    flat = force.reshape(windows, -1)
+    stats = Reduced((flat**2).sum(1), -flat, identity)
+    found = Knots(stats, 0, np.zeros(0), np.zeros(0), np.ones(6), _places(t))
+    saved, start = wave_start(found)
+    assert saved > 0.9 * (flat**2).sum()
+    # Within the width of the peak, from where a fit converges.
+    assert start["period"] == pytest.approx(period, abs=0.3 * period**2 / length)
+    assert np.hypot(start["north"], start["east"]) == pytest.approx(np.hypot(2.0, 1.0), rel=0.1)
+
+
+def _finding(effect: str, *others: str) -> dict[str, Any]:
+    same = [
+        {"effect": name, "target": None, "log_evidence": 0.0, "indistinguishable": True} for name in others
+    ]
+    return {"effect": effect, "target": None, "since": None, "log_evidence": 9.0, "alternatives": same}
+
+
+def test_one_finding_stands_for_one_cause_only():
+    hidden = [{"accept": [[name, None]], "since": None, "parameters": {}} for name in ("waves", "payload")]
+    answer = {"findings": hidden, "options": {}}
+    vague = {"verdict": "explained", "findings": [_finding("trim", "waves", "payload")]}
+    assert grade(answer, vague) == {"first": True, "whole": False}
+    both = {"verdict": "explained", "findings": [_finding("trim", "waves"), _finding("payload")]}
+    assert grade(answer, both) == {"first": True, "whole": True}
+    wrong = {"findings": [_finding("linear_damping"), _finding("payload")]}
+    assert first_judged({"findings": hidden, "options": {"misfit": True}}, wrong)["effect"] == "payload"
