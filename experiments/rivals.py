@@ -32,13 +32,14 @@ from experiments._study import write_results
 from experiments.blind import grading
 from experiments.blind_matrix import BLOCK, Row, detectable, share
 from jaxmarine._types import CHANNELS, DOFS, RATE, VELOCITY
-from jaxmarine.diagnosis._diagnose import _measured_gain, _workbench
 from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
 from jaxmarine.diagnosis._model import BEGUN, SEGMENTS, Member, Model, Workbench, _linearise
+from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._score import solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
 from jaxmarine.diagnosis._unknown import Dependence
+from jaxmarine.diagnosis._worth import measured_gain
 from jaxmarine.effects import CATALOGUE
 from jaxmarine.fitting import Affine
 from jaxmarine.fitting._coverage import acceleration_of
@@ -69,7 +70,7 @@ class Case:
     answer: Row
 
     def bench(self) -> Workbench:
-        return _workbench(self.vehicle, (self.train,), CATALOGUE, None)
+        return workbench(self.vehicle, (self.train,), CATALOGUE, None)
 
 
 def opened(folder: Path) -> Case:
@@ -94,7 +95,7 @@ def named(bench: Workbench, suspects: Sequence[int]) -> list[tuple[str, str | No
 
 def fitted(bench: Workbench, model: Model, test: jm.Log) -> Row:
     """What a model with members says, and what they buy on the test log."""
-    ratio = _measured_gain(bench, model, bool(model.members), (), test)[0].ratio
+    ratio = measured_gain(bench, model, bool(model.members), (), test)[0].ratio
     return said(named(bench, [m.suspect for m in model.members]), ratio)
 
 
@@ -260,7 +261,7 @@ def black_box(case: Case, rounds: int) -> Row:
         (term,) = learn(k, (Dependence(int(axis), signals, (), 0.0, nothing, False),), names)
         terms.append(jm.Placed(term, term.target))
         k = _with_term(k, int(axis), term, signals)
-    return said((), _measured_gain(bench, model, True, terms, case.test)[0].ratio)
+    return said((), measured_gain(bench, model, True, terms, case.test)[0].ratio)
 
 
 def _with_term(k: Knots, axis: int, term: LearnedWrench, signals: tuple[str, ...]) -> Knots:

@@ -9,9 +9,9 @@ import pytest
 
 from jaxmarine import InputError
 from jaxmarine.diagnosis import Box, Manoeuvre, plan
-from jaxmarine.diagnosis._diagnose import _workbench
 from jaxmarine.diagnosis._model import Member
 from jaxmarine.diagnosis._plan import DT, _causes
+from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.effects import CATALOGUE
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
@@ -49,7 +49,7 @@ def test_the_evidence_is_what_a_refit_of_the_rival_leaves():
     apart = problem.separations(commands, *problem.flown(commands))
     assert found.evidence == pytest.approx(0.5 * float(apart.min()), rel=1e-6)
 
-    bench = _workbench(craft, (found.log,), CATALOGUE, None)
+    bench = workbench(craft, (found.log,), CATALOGUE, None)
     assert bench.data.length == pytest.approx(problem.window * DT, abs=0.5 * DT)
     stated = min(std for _, std in craft.sensors)
     assert np.nanmin(bench.noise) == pytest.approx(stated), "in units of the stated noise"

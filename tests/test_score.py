@@ -9,10 +9,10 @@ import pytest
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis._couplings import couplings
-from jaxmarine.diagnosis._diagnose import _workbench
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
+from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._score import Reduced, savings, step_with
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
@@ -159,7 +159,7 @@ def test_beginnings_of_the_file_and_of_members_cut_the_logs_together():
     craft = boat()
     fouled = Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0])), "port", 6.0, "second")
     logs = [record(craft, steps(200), name=name) for name in ("first", "second")]
-    bench = _workbench(craft.place(fouled), logs, (ThrusterGain,), 1.5)
+    bench = workbench(craft.place(fouled), logs, (ThrusterGain,), 1.5)
     members = (Member(0, Beginning(0, 12.0)),)
     found = bench.stretches(members)
     pairs = [list(zip(found.passed[rows], found.gates[rows, 0], strict=True)) for rows in found.of_samples]
@@ -189,11 +189,11 @@ def test_what_the_programs_have_no_room_for_is_said():
             return (Suspect(cls, None, {f"factor_{i}": (0,) for i in range(50)}),)
 
     with pytest.raises(InputError, match=r"thruster_gain has 50 parameters, .* at most 44 at once"):
-        _workbench(craft, logs, (Wide,), 1.5)
+        workbench(craft, logs, (Wide,), 1.5)
     half = ThrusterGain(jnp.array([0.5, 1.0, 1.0]))
     often = craft.place(*(Placed(half, "port", since) for since in (4.0, 8.0, 12.0, 16.0)))
     with pytest.raises(InputError, match="begin at 4 times within these logs; a diagnosis has room for 3"):
-        _workbench(often, logs[:1], (ThrusterGain,), 1.5).stretches(())
+        workbench(often, logs[:1], (ThrusterGain,), 1.5).stretches(())
 
 
 def test_couplings_are_what_inverse_dynamics_asks_for_where_they_are_doubled():

@@ -12,11 +12,11 @@ import pytest
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
 from jaxmarine.diagnosis import _answer, diagnose
-from jaxmarine.diagnosis._diagnose import _named_apart, _workbench
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
 from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._prepare import named_apart, workbench
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.effects import CATALOGUE, Saturation
@@ -33,12 +33,12 @@ def test_a_craft_without_thrusters_can_be_weighed():
     driven = record(boat(), steps())
     towed = dataclasses.replace(boat(), thrusters=NOTHING, thruster_names=())
     log = dataclasses.replace(driven, commands=None, wrench=np.zeros((len(driven.t), 6)), thrusters=())
-    bench = _workbench(towed, (log,), CATALOGUE, None)
+    bench = workbench(towed, (log,), CATALOGUE, None)
     assert bench.sound(bench.start())
 
 
 def test_every_knot_of_a_slow_log_has_a_sample_of_its_own():
-    bench = _workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
+    bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
     assert bench.knots == bench.data.windows.step.shape[1] == 12
     assert (np.diff(bench.places.t, axis=1) == 1.0).all()
 
@@ -50,7 +50,7 @@ def test_a_vehicle_that_runs_away_is_told_so():
         wrong, damping=dataclasses.replace(wrong.damping, quadratic=-5 * wrong.damping.quadratic)
     )
     log = record(boat(), steps())
-    bench: Any = _workbench(wrong, (log,), CATALOGUE, None)
+    bench: Any = workbench(wrong, (log,), CATALOGUE, None)
     bench.refine = lambda model: dataclasses.replace(model, cost=np.inf)
     with pytest.raises(InputError, match="runs away on it; check the signs"):
         bench.fitted(bench.start())
@@ -74,10 +74,10 @@ def test_commands_beyond_ten_are_those_of_the_file():
 
 def test_logs_of_one_name_are_told_apart_and_a_log_tested_on_itself_keeps_its_own():
     one, other = (record(boat(), steps(seed=i), seed=i) for i in range(2))
-    (first, second), test, notes = _named_apart((one, other), one)
+    (first, second), test, notes = named_apart((one, other), one)
     assert (first.name, second.name, test.name) == ("log.csv", "log.csv (2)", "log.csv")
     assert notes == ["Another log is called log.csv too; this one is `log.csv (2)` here."]
-    _, test, _ = _named_apart((one,), other)
+    _, test, _ = named_apart((one,), other)
     assert test.name == "log.csv (2)"
 
 

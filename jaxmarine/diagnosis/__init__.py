@@ -1,7 +1,6 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
 from ._diagnose import diagnose as diagnose
-from ._diagnose import gain_of as gain_of
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan
@@ -20,3 +19,4 @@ from ._result import (
 from ._result import (
     Parameter as Parameter,
 )
+from ._worth import gain_of as gain_of

@@ -24,8 +24,8 @@ from ..logs import Log
 from ..physics import compose, small_turn, step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
-from ._diagnose import WINDOW, window_length
 from ._model import base_coefficients
+from ._prepare import WINDOW, window_length
 from ._progress import Progress, silent
 from ._saturated import SaturatedPlant, saturate
 

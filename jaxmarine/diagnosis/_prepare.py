@@ -1,0 +1,167 @@
+"""From logs to a workbench: named apart, checked, cut into windows, their noise at least what is missed."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .._errors import InputError
+from .._types import CHANNELS
+from ..fitting import cut, noise_of
+from ..logs import Log
+from ..simulation import substeps
+from ..vehicle import Vehicle
+from ._kinematics import contradiction
+from ._model import SLOTS, Member, Model, Workbench, same_log
+from ._saturated import saturate
+from ._search import dispersion
+
+WINDOW = 4.0  # [s]
+# Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
+FEWEST_WINDOWS = 16
+SHORTEST = 1.0  # [s]
+FEWEST_SAMPLES = 12  # of a window
+SLOWEST = 2.0  # [s] between samples
+FEWEST = 6  # windows of a diagnosis
+
+
+def _window(logs: Sequence[Log], window: float | None) -> float:
+    if window is not None:
+        return window
+    dt = float(np.median([log.dt for log in logs]))
+    if dt > SLOWEST:
+        raise InputError(
+            f"{logs[0].name}: has a sample every {dt:g} s, too few to see how a vehicle moves; give t in "
+            f"seconds, or take a log with a sample every {SLOWEST:g} s or faster."
+        )
+    return window_length(sum(log.duration for log in logs), dt)
+
+
+def window_length(duration: float, dt: float) -> float:
+    """Seconds of a window of logs that last so long together, with a sample every `dt` s."""
+    return float(max(np.clip(duration / FEWEST_WINDOWS, SHORTEST, WINDOW), FEWEST_SAMPLES * dt))
+
+
+def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
+    """The fastest that the logs go on each axis [m/s, rad/s], 1 where it was not measured."""
+    speeds = np.abs(np.concatenate([log.channels[:, 6:12] for log in logs]))
+    return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), 1.0)
+
+
+def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
+    noise = noise_of(vehicle, logs)
+    split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
+    data = cut(vehicle, logs, noise, _window(logs, window))
+    if data.windows.count < FEWEST:
+        names = ", ".join(log.name for log in logs)
+        raise InputError(
+            f"{names}: gives {data.windows.count} windows of {data.length:g} s, a diagnosis needs {FEWEST}; "
+            "use a longer log or a shorter window."
+        )
+    families, layout = saturate(vehicle, catalogue)
+    bench = Workbench(vehicle, families, layout, data, noise, split)
+    room = SLOTS - len(bench.base)
+    for suspect in layout.suspects:
+        if len(suspect.slots) > room:
+            raise InputError(
+                f"Effect {suspect.label} has {len(suspect.slots)} parameters, a diagnosis of {vehicle.name} "
+                f"fits at most {room} at once; use an effect with fewer."
+            )
+    return bench
+
+
+def named_apart(logs: Sequence[Log], test: Log) -> tuple[tuple[Log, ...], Log, list[str]]:
+    """The logs with names of their own, by which a beginning says in which log it lies; and notes of changes.
+
+    A test log keeps the name of the training log that it is.
+    """
+    met, out, notes = dict[str, int](), [], []
+    for log in (*logs, test):
+        twin = next((one for one in out if log is test and same_log(one, log)), None)
+        count = met[log.name] = met.get(log.name, 0) + 1
+        if count > 1 and twin is None:
+            name = f"{log.name} ({count})"
+            notes.append(f"Another log is called {log.name} too; this one is `{name}` here.")
+            log = dataclasses.replace(log, name=name)
+        out.append(log)
+    return tuple(out[:-1]), out[-1], notes
+
+
+def moving(logs: Sequence[Log]) -> None:
+    """Refuses training logs in which nothing changes: whatever explained them would be made up."""
+    seen = np.concatenate([log.channels for log in logs])
+    measured = seen[:, np.isfinite(seen).any(axis=0)]
+    if measured.size and (np.nanmax(measured, axis=0) == np.nanmin(measured, axis=0)).all():
+        names = ", ".join(log.name for log in logs)
+        raise InputError(f"{names}: no channel ever changes; use a log in which the vehicle moves.")
+
+
+def stuck(bench: Workbench) -> list[str]:
+    """A note on channels that are measured but cannot be used, on axes that move."""
+    measured = np.isfinite(np.concatenate([log.channels for log in bench.data.logs])).any(axis=0)
+    useless = measured & np.isnan(bench.noise) & (np.tile(bench.vehicle.free, 3) > 0)
+    names = [name for name, bad in zip(CHANNELS, useless, strict=True) if bad]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)} never changes in the training logs, and the vehicle file does not state its "
+        "noise under [sensors]; it was not used."
+    ]
+
+
+def _unstated(bench: Workbench) -> list[int]:
+    """Channels that are used and whose noise the vehicle file does not state."""
+    unstated = np.isnan(bench.vehicle.stated_noise)
+    return np.flatnonzero(unstated & np.isfinite(bench.noise)).tolist()
+
+
+def begun_with(bench: Workbench) -> tuple[Model, list[str]]:
+    """The model to start from, and a note where it has more than the vehicle file.
+
+    A sensor that grossly contradicts the others is told at once where noises are estimated: the estimate
+    would take its error for noise. Where they are stated, the search weighs it with all other causes.
+    """
+    model, suspects = bench.start(), bench.layout.suspects
+    proven = contradiction(bench.vehicle, bench.data.logs, suspects) if _unstated(bench) else None
+    if proven is None:
+        return model, []
+    i, values = proven
+    value = np.array([values[name] for name in suspects[i].slots]) - bench.layout.neutral_of(i)
+    note = (
+        f"Positions, attitude and velocities contradict one another as {suspects[i].label} would make "
+        "them, whatever forces act; it was taken first."
+    )
+    return bench.with_member(model, Member(i), value), [note]
+
+
+def rescaled(bench: Workbench, begun: Model) -> Workbench:
+    """The workbench with the noise of sensors that the file does not state raised to the residual.
+
+    A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
+    would outweigh all others. From what a channel changes by within a window, which is the most that it
+    can be missed by, down to the residual of the file as it is, and of the file recalibrated.
+    """
+    free = _unstated(bench)
+    if not free:
+        return bench
+    own = bench.noise[free]
+    seen = np.asarray(bench.data.windows.weight) > 0
+    values = np.ma.masked_array(bench.data.windows.measured, ~seen)
+    most = np.fmax(own, values.std(axis=1).mean(axis=0).filled(0.0)[free])
+    bench = _weighted(bench, free, most)
+    for model in (bench.frozen(begun), begun):
+        missed = (bench.residual_rms(bench.refine(model)) * bench.noise)[free]
+        bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
+    # Such residuals are alike from sample to sample: each weighs as little against the priors as their
+    # scores scatter.
+    model = bench.fitted(begun)
+    alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
+    return _weighted(bench, free, alike * bench.noise[free])
+
+
+def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:
+    """The workbench with another noise of some channels."""
+    now = bench.noise.copy()
+    now[channels] = noise
+    return bench.reweighed(now)

@@ -1,0 +1,108 @@
+"""After the search: what it found is pruned, weighed once more, and beginnings are moved to their time."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ._coefficients import settle
+from ._model import Beginning, Model, Workbench
+from ._search import FEW_STEPS, ROUGH, STEPS, Found, Round, dispersion, needed, own_dispersion, penalty
+from ._worth import gain_at_home
+
+HARMS = 0.95  # a member goes where predictions without it have less than this share of the error
+# A member is kept without more than a few steps of a refit where those promise that its removal costs this
+# many times what it must save.
+OBVIOUS = 10.0
+# Suspects beaten in a round that are weighed once more in the end.
+RIVALS = 3
+
+
+def pruned(bench: Workbench, model: Model) -> Model:
+    """The model without members that are not needed beside the others, or mean nothing beside them."""
+    if not model.members:
+        return model
+    stats = bench.screen(model)
+    phi, sound = dispersion(bench, model, stats), bench.sound(model)
+    for i, where in enumerate(bench.slices(model.members)):
+        least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
+        less = bench.refine(bench.without_member(model, i), FEW_STEPS, ROUGH)
+        if sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
+            continue
+        less = bench.refine(less)
+        idle = 2 * (less.cost - model.cost) < least
+        if idle or (not sound and bench.sound(less)):
+            return pruned(bench, less)
+    return model
+
+
+def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: float) -> Model:
+    """Each member against those that it beat in its round, now that the other members are known."""
+    if len(model.members) == 1:
+        return model
+    for i, member in enumerate(model.members):
+        trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
+        for trial in trials[0][1 : 1 + RIVALS] if trials else ():
+            suspect, less = trial.member.suspect, bench.without_member(model, i)
+            if suspect in {m.suspect for m in model.members} or suspect not in bench.open(less):
+                continue
+            if trial.member.since is not None and not bench.may_begin(less, suspect):
+                continue
+            value = trial.model.z[bench.slices(trial.model.members)[-1]]
+            other = bench.refine(bench.with_other(model, i, trial.member, value), STEPS)
+            price = penalty(bench, trial.member) - penalty(bench, model.members[i])
+            if bench.sound(other) and 2 * (other.cost - model.cost) / phi + price < 0:
+                model = other
+    return model
+
+
+def _beginnings_refined(bench: Workbench, model: Model) -> Model:
+    """Moves each beginning to the time that costs least, from coarse to fine."""
+    for i, member in enumerate(model.members):
+        if member.since is None:
+            continue
+        log = bench.data.logs[member.since.log]
+        step = bench.data.length / 2
+        while step >= 0.9 * log.dt:
+            best = model
+            for shift in (-step, step):
+                time = float(np.clip(model.members[i].since.time + shift, log.t[0], log.t[-1]))  # pyright: ignore
+                time = float(log.t[np.argmin(np.abs(log.t - time))])
+                moved = dataclasses.replace(member, since=Beginning(member.since.log, time))
+                members = tuple(moved if j == i else m for j, m in enumerate(model.members))
+                trial = bench.refine(dataclasses.replace(model, members=members), max_steps=6)
+                if trial.cost < best.cost - 1e-6:
+                    best = trial
+            if best is model:
+                step /= 2
+            model = best
+    return model
+
+
+def settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, ...]]:
+    """What the search found, without what is not needed, and whether the whole file was recalibrated.
+
+    And all that was weighed, in the search and in the place of single coefficients.
+    """
+    phi = dispersion(bench, found.model, found.stats)
+    model, dense, more = settle(bench, pruned(bench, found.model), phi)
+    model = _beginnings_refined(bench, model)
+    phi = dispersion(bench, model, bench.screen(model))
+    rounds = found.rounds + more
+    model = pruned(bench, _reweighed(bench, model, rounds, phi))
+    return _without_harm(bench, model, dense), dense, rounds
+
+
+def _without_harm(bench: Workbench, model: Model, dense: bool) -> Model:
+    """The model without members beside which it predicts the training log worse over 5 s than without them.
+
+    Windows are shorter, and a member that takes up what is left in them may run away over more.
+    """
+    if len(model.members) < 2:
+        return model
+    own = gain_at_home(bench, model, dense)
+    for i in reversed(range(len(model.members))):
+        less = bench.refine(bench.without_member(model, i))
+        if gain_at_home(bench, less, dense) < HARMS * own:
+            return _without_harm(bench, pruned(bench, less), dense)
+    return model

@@ -1,0 +1,132 @@
+"""What names cannot explain: unknown dependences beside named members, or in the place of all of them."""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from .._types import RATE, VELOCITY
+from ..logs import smooth_states
+from ..simulation import initial_state, simulate
+from ..vehicle import Vehicle
+from ._answer import extended_by
+from ._judge import Judged, judged
+from ._model import Model, Workbench
+from ._progress import Progress
+from ._search import MARGIN
+from ._settle import pruned
+from ._signals import Signals
+from ._unknown import Dependence, cost_of_removal, dependences, explained
+
+# A member whose removal costs less than this share beside the unknown dependences only stood in for them;
+# all of them did where unknown dependences alone leave less than the second share of what they leave, or
+# than the third one of what they leave together with unknown dependences, or the last one of what more than
+# two of them leave.
+STAND_IN, ALONE, WITH_UNKNOWN, CROWD = 0.35, 0.6, 0.7, 0.8
+# Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left;
+# and what is left per sample, beyond the noise, from which it is asked whether names are of any use.
+DEAR, PLENTY = 10.0, 0.5
+
+
+def with_unknown(
+    bench: Workbench, now: Judged, dense: bool, progress: Progress
+) -> tuple[Judged, tuple[Dependence, ...]]:
+    """What the residual depends on, and the model without members that only stood in for that."""
+    while not now.white:
+        progress("looking for what the residual depends on")
+        unknown = _dependences(bench, now, extended_by(bench, now.model, dense))
+        spurious = _stand_in(bench, now, unknown)
+        if spurious is None:
+            return now, unknown
+        now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+        # What was found beside a stand-in may have mended what that spoilt.
+        model = pruned(bench, now.model)
+        if model is not now.model:
+            now = judged(bench, model)
+    return now, ()
+
+
+def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
+    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
+
+
+def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
+    """Velocities at the knots as simulated from the commands over whole logs, None where that fails."""
+    places = bench.places
+    out = np.zeros((*places.t.shape, 6))
+    logs = bench.data.logs
+    for i, log in enumerate(logs):
+        track = smooth_states(log, vehicle.dof)
+        start = initial_state(vehicle, track.position[0], track.attitude[0], track.nu[0])
+        later = {other.name for other in logs[i + 1 :]}
+        begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
+        run = simulate(dataclasses.replace(vehicle, placed=begun), log, start)
+        here = places.log == i
+        nu = np.asarray(run.states.velocity)
+        for axis in range(6):
+            out[here, :, axis] = np.interp(places.t[here], log.t, nu[:, axis])
+    names = (*VELOCITY, *RATE)
+    if not np.isfinite(out).all():
+        return None
+    over_ground = {name: out[..., i] for i, name in enumerate(names)}
+    return places.through_water(np.asarray(vehicle.plant().water), over_ground)
+
+
+class Unnamed:
+    """The vehicle file with nothing but unknown dependences: what any names have to do better than.
+
+    Where they do not, nothing that was named or recalibrated is the cause: it took the shape of what is
+    unknown. All is computed when it is first asked for.
+    """
+
+    def __init__(self, bench: Workbench):
+        self.bench = bench
+
+    @functools.cached_property
+    def start(self) -> Model:
+        return self.bench.refine(self.bench.frozen(self.bench.start()))
+
+    @functools.cached_property
+    def judged(self) -> Judged:
+        return judged(self.bench, self.start)
+
+    @functools.cached_property
+    def dependences(self) -> tuple[Dependence, ...]:
+        return _dependences(self.bench, self.judged, self.bench.vehicle)
+
+    @functools.cached_property
+    def rest(self) -> float:
+        """Chi-square beyond the noise that is left, if the file's coefficients may change as well."""
+        _, precision, _ = self.bench.known(dataclasses.replace(self.start, frozen=False))
+        free = dataclasses.replace(self.judged.knots, precision=precision)
+        return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.samples, 0.0)
+
+    def better(self, model: Model) -> bool:
+        """Whether several members leave clearly more than unknown dependences alone would."""
+        rest, count = 2 * model.cost - self.bench.samples, len(model.members)
+        share = ALONE if count == 2 else CROWD
+        return count > 1 and rest > PLENTY * self.bench.samples and self.leaves_less(rest, share)
+
+    def leaves_less(self, rest: float, share: float) -> bool:
+        """Whether it leaves less than a share of `rest`, and not by chance."""
+        if not self.dependences:
+            return False
+        shapes = sum(one.features.shape[-1] for one in self.dependences)
+        chance = DEAR * (shapes + MARGIN) * (self.rest / self.bench.samples + 1.0)
+        return self.rest < min(share * rest, rest - chance)
+
+
+def left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
+    """Chi-square beyond the noise that a model leaves together with unknown dependences."""
+    saved = explained(now.knots, unknown) - explained(now.knots, ())
+    return max(2 * now.model.cost - saved - bench.samples, 0.0)
+
+
+def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
+    """The member that an unknown dependence replaces best, if one does."""
+    if not unknown or not now.model.members:
+        return None
+    costs = cost_of_removal(now.knots, bench.slices(now.model.members), unknown)
+    shares = [beside / max(alone, 1e-9) for alone, beside in costs]
+    worst = int(np.argmin(shares))
+    return worst if shares[worst] < STAND_IN else None

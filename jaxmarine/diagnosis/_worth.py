@@ -1,0 +1,88 @@
+"""What a model of the search is worth: its gain on a log."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from .._errors import InputError
+from ..effects import CATALOGUE
+from ..logs import Log
+from ..vehicle import Placed, Vehicle
+from ._gain import HORIZON, Candidate, gain, predictions
+from ._model import Beginning, Member, Model, Workbench, filled
+from ._prepare import workbench
+from ._result import Gain
+
+LEAST = HORIZON + 4.0  # [s] of a log on which a gain is measured
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def gain_of(
+    vehicle: Vehicle,
+    train: Sequence[Log] | Log,
+    test: Log,
+    causes: Sequence[Placed],
+) -> Gain:
+    """What given causes buy on the test log, refitted from their values: what naming them is worth.
+
+    As `diagnose` measures it, without a search; raises `InputError` where the catalogue lacks a cause or a
+    cause begins in a log that is not given.
+    """
+    logs = (train,) if isinstance(train, Log) else tuple(train)
+    bench = workbench(vehicle, logs, CATALOGUE, None)
+    names = [log.name for log in logs]
+    model = bench.start()
+    for cause in causes:
+        i = bench.layout.place_of(cause)
+        value = bench.layout.suspects[i].values(cause.effect)
+        since = None
+        if cause.since is not None:
+            if cause.since_log not in (None, *names):
+                raise InputError(
+                    f"Cause `{cause.effect.name}` begins in {cause.since_log}; the training logs are "
+                    f"{', '.join(names)}."
+                )
+            since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
+        model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
+    return measured_gain(bench, bench.refine(model), bool(causes), (), test)[0]
+
+
+def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:
+    """The error over that of the file on the longest training log; 1 where nothing changes or it is short.
+
+    A window is forgiving: what is fitted to a few seconds may be unstable when it acts for longer.
+
+    - `dense`: the file's coefficients were recalibrated.
+    """
+    log = max(bench.data.logs, key=lambda log: log.duration)
+    changed = bool(model.members or terms or dense)
+    if log.duration < LEAST or not changed:
+        return 1.0
+    return measured_gain(bench, model, changed, terms, log)[0].ratio
+
+
+def measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], test: Log):
+    """The gain on the test log of the model and of terms that were learned; `changed`: beside the file."""
+    stretches = bench.stretches(model.members, test)
+    gates = filled(stretches.gates)
+    neutral = np.tile(bench.layout.neutral, (len(gates), 1))
+    candidates = [Candidate(bench.vehicle, bench.families, neutral, gates)]
+    if changed:
+        vehicle = bench.vehicle.place(*terms)
+        gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
+        theta, phases = bench.theta(model, stretches), bench.phases(model.members)
+        candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
+    run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
+    times, predicted, measured, begin = predictions(
+        candidates,
+        test,
+        bench.noise,
+        run_in,
+        bench.split,
+        stretches.of_samples[0],
+        bench.room,
+        bench.slots(0),
+    )
+    held_out = bench.twin(test) is None
+    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, held_out)
