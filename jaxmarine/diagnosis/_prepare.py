@@ -50,6 +50,10 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
 
 
 def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
+    """The workbench of a vehicle and its training logs; raises `InputError` where they are too short.
+
+    - `catalogue`, `window`: as `diagnose` takes them.
+    """
     noise = noise_of(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
     data = cut(vehicle, logs, noise, _window(logs, window))
