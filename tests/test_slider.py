@@ -11,8 +11,7 @@ import scipy.integrate
 
 import jaxmarine as jm
 from jaxmarine._errors import InputError
-from jaxmarine.fitting import cut, linearise, predict
-from jaxmarine.fitting._linearise import Affine, Problem, start_precision
+from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
 from jaxmarine.physics import Slide, Slider, rotation
 from jaxmarine.simulation import substeps
 from jaxmarine.vehicle import Input, inverse_dynamics

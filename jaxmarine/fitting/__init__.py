@@ -44,21 +44,21 @@ from ._linearise import (
     Affine as Affine,
 )
 from ._linearise import (
-    Problem as Problem,
-)
-from ._linearise import (
     Statistics as Statistics,
 )
 from ._linearise import (
     linearise as linearise,
 )
-from ._linearise import (
+from ._rollout import (
+    Problem as Problem,
+)
+from ._rollout import (
     predict as predict,
 )
-from ._linearise import (
+from ._rollout import (
     start_precision as start_precision,
 )
-from ._linearise import (
+from ._rollout import (
     wrapped as wrapped,
 )
 from ._solver import (

@@ -24,7 +24,7 @@ from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._fit import noise_of
 from ._free import set_free
-from ._linearise import predict
+from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
