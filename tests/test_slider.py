@@ -241,7 +241,7 @@ def test_the_table_is_read_written_and_has_a_column(tmp_path):
     assert np.array_equal(jm.read_log(tmp_path / "log.csv", again).commands, log.commands)
     with pytest.raises(InputError, match="slider"):
         jm.write_log(
-            dataclasses.replace(log, commands=log.commands[:, :3], thrusters=again.thruster_names),
+            dataclasses.replace(log, commands=log.commands[:, :3], command_names=again.thruster_names),
             tmp_path / "c.csv",
         )
         jm.read_log(tmp_path / "c.csv", again)

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
 from ..physics import Drive, Slide, Thrust, thrust
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
-from ._windows import ANGLES, Records, Windows
+from ._windows import Records, Windows
 
 # Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
 # keeps the elimination regular where a component was not measured; the tight one holds locked axes.
@@ -55,8 +56,8 @@ def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
 
 
 def wrapped(error: Float[Array | np.ndarray, "*steps 18"]) -> Array:
-    """Differences of angles within (-pi, pi]."""
-    return jnp.where(ANGLES, (error + jnp.pi) % (2 * jnp.pi) - jnp.pi, error)
+    """Differences of channels, those of angles the short way round."""
+    return jnp.where(ANGLES, wrap_to_pi(jnp.asarray(error)), error)
 
 
 def of_segment(tree, index):
