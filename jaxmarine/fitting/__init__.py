@@ -24,7 +24,7 @@ from ._check import (
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
-from ._fit import noise_of as noise_of
+from ._free import Select as Select
 from ._least_squares import (
     LeastSquares as LeastSquares,
 )
@@ -49,6 +49,7 @@ from ._linearise import (
 from ._linearise import (
     linearise as linearise,
 )
+from ._noise import noise_of as noise_of
 from ._rollout import (
     Problem as Problem,
 )
