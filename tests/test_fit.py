@@ -295,11 +295,25 @@ def test_an_effect_is_freed_on_its_target_only():
         (lambda v: v.added_mass, {"prior": (1.0, 1.0)}, "free\\(vehicle\\)"),
         (lambda v: v.added_mass, {"entries": "some"}, "one of all"),
         (lambda v: v.added_mass, {"prior": 0.0 * jnp.ones((6, 6))}, "nothing free"),
+        (lambda v: v.added_mass, {"prior": jnp.ones((6, 6)).at[[1, 5], [5, 1]].set(0.0)}, "give it a width"),
     ],
 )
 def test_what_cannot_be_free_is_said(free, options, says: str):
     with pytest.raises(ValueError, match=says):
         set_free(boat(), free, **options)
+
+
+@pytest.mark.parametrize(
+    ("free", "options", "says"),
+    [
+        (lambda v: v.added_mass, {}, "start with larger entries"),
+        (lambda v: v.damping.linear, {"entries": "diagonal", "dissipative": True}, "free those off"),
+    ],
+)
+def test_a_start_that_is_not_positive_is_refused(free, options, says: str):
+    coupled = eqx.tree_at(free, boat(), replace_fn=lambda matrix: matrix + 1e3 * (1.0 - jnp.eye(6)))
+    with pytest.raises(ValueError, match=says):
+        set_free(coupled, free, **options)
 
 
 def test_too_few_steps_raise_with_advice_or_stand_in_the_result():
