@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+import tomli_w
 import typer
 from rich.progress import track
 
@@ -24,7 +25,7 @@ from experiments._study import study, write_results
 from experiments.blind.cases import make_case, with_noise
 from experiments.blind.outside import on
 from experiments.blind.plant import Effect, Outside
-from experiments.blind.vehicle import Array, dumps, load
+from experiments.blind.vehicle import Array, load
 
 SHIP = "cybership2"
 TRAIN, TEST = 300.0, 150.0
@@ -172,7 +173,7 @@ def tampered(name: str, trick: Trick, folder: Path, seed: int) -> None:
     train, test = trick.logs(tables, np.random.default_rng(seed))
     train.to_csv(folder / "train.csv", index=False)
     test.to_csv(folder / "test.csv", index=False)
-    (folder / "vehicle.toml").write_text(dumps(with_noise(load(SHIP).raw, trick.noise)))
+    (folder / "vehicle.toml").write_text(tomli_w.dumps(with_noise(load(SHIP).raw, trick.noise)))
 
 
 def answered(folder: Path) -> dict[str, Any]:

@@ -145,7 +145,7 @@ def judged(truth: jm.Vehicle, fit: jm.Fit, log: jm.Log) -> dict[str, Any]:
     assert log.commands is not None
     largest = np.asarray(truth.thrusters.max_thrust)
     out: dict[str, Any] = {"steps": fit.steps, "converged": fit.converged}
-    out["chi2_per_sample"] = fit.chi2_per_sample
+    out["reduced_chi2"] = fit.reduced_chi2
     stds = {p.name: p.std_model for p in fit.parameters}
     for i, name in enumerate(truth.thruster_names):
         grid = np.linspace(log.commands[:, i].min(), log.commands[:, i].max(), 201)

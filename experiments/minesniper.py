@@ -214,7 +214,7 @@ def identified(runs: Sequence[Run], steps: int) -> tuple[dict[str, jm.Vehicle], 
         "rbf_reach": np.asarray(term.reach).tolist(),
         "rbf_centres": (np.asarray(term.weights) != 0).sum(axis=1).tolist(),
         "fit_result": fit.result,
-        "fit_chi2_per_sample": fit.chi2_per_sample,
+        "fit_reduced_chi2": fit.reduced_chi2,
     }
     return vehicles, term, notes | five_hundred(nu, force)
 

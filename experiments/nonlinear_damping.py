@@ -184,10 +184,10 @@ def parallel(vehicle: jm.Vehicle, log: jm.Log, seed: int) -> jm.Vehicle:
     assert log.commands is not None
     nu, size = _sizes(vehicle, log)
     signals = np.concatenate([nu, log.commands], axis=1)
-    ends, names = (signals.min(axis=0), signals.max(axis=0)), ("u", "v", "r", *log.thrusters)
+    ends, names = (signals.min(axis=0), signals.max(axis=0)), ("u", "v", "r", *log.command_names)
     keys = jax.random.split(jax.random.key(seed), len(AXES))
     placed = tuple(
-        jm.Placed(learned_wrench(axis, names, log.thrusters, *ends, float(scale), key, HIDDEN), axis)
+        jm.Placed(learned_wrench(axis, names, log.command_names, *ends, float(scale), key, HIDDEN), axis)
         for axis, scale, key in zip(AXES, size, keys, strict=True)
     )
     return dataclasses.replace(vehicle, placed=placed)
@@ -504,7 +504,7 @@ def case(truth: jm.Vehicle, seed: int, size: Size) -> Case:
             for name in ("wrong mass, trajectory", "single, one_step", "single, trajectory")
         },
         "fits": {
-            name: {"steps": fit.steps, "converged": fit.converged, "chi2_per_sample": fit.chi2_per_sample}
+            name: {"steps": fit.steps, "converged": fit.converged, "reduced_chi2": fit.reduced_chi2}
             for name, fit in fits.items()
         },
         "adam": against_adam(classical["trajectory"].vehicle, log, size.epochs, size.blocks),

@@ -320,9 +320,9 @@ class Cases:
     drawn: dict[tuple[str, str], jm.Trajectory] = dataclasses.field(default_factory=dict)
     verdicts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
 
-    def note(self, case: str, model: str, seed: int, trajectory: jm.Trajectory, since: float = 0.0) -> None:
+    def note(self, case: str, model: str, seed: int, trajectory: jm.Trajectory) -> None:
         row = {"case": case, "model": model, "seed": seed}
-        self.rows.append(row | errors(trajectory, self.path, since))
+        self.rows.append(row | errors(trajectory, self.path))
         if seed == 0:
             self.drawn[case, model] = trajectory
 

@@ -93,10 +93,10 @@ class Rounded:
         return float(np.copysign(self._drawn[group, what, size], float(printed)))
 
 
-def tubes(path: Path = ELEMENTS, rng: np.random.Generator | None = None) -> list[Tube]:
-    """All elements of the file, see `Rounded`; the last end plate is the one that the listing lacks."""
+def tubes(rng: np.random.Generator | None = None) -> list[Tube]:
+    """All elements of the vehicle, see `Rounded`; the last end plate is the one that the listing lacks."""
     # Decimals keep the digits that are printed.
-    data = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+    data = tomllib.loads(ELEMENTS.read_text(encoding="utf-8"), parse_float=Decimal)
     origin, number = np.array(data["origin"], float), Rounded(rng)
     out = []
     for group in data["group"]:
@@ -287,7 +287,7 @@ def as_numbers(mass: Mass) -> dict[str, Any]:
 def by_rounding(draws: int, density: float) -> Mass:
     """Standard deviation of everything over draws of the numbers of the file, all four plates there."""
     rng = np.random.default_rng(0)
-    drawn = [dataclasses.astuple(listing(tubes(rng=rng), Defects(), density)) for _ in range(draws)]
+    drawn = [dataclasses.astuple(listing(tubes(rng), Defects(), density)) for _ in range(draws)]
     return Mass(*(np.std(values, axis=0) for values in zip(*drawn, strict=True)))
 
 

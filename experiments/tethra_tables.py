@@ -174,7 +174,7 @@ def by_fits(vehicle: jm.Vehicle, data: Data, case: Case) -> tuple[dict[str, Esti
         how[name] = {
             "converged": fit.converged,
             "steps": fit.steps,
-            "chi2_per_sample": fit.chi2_per_sample,
+            "reduced_chi2": fit.reduced_chi2,
             "windows_rejected": len(fit.rejected),
         }
 

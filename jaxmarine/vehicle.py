@@ -36,9 +36,11 @@ from .physics import (
     Slider,
     apply,
     attitude_rate,
+    compose,
     coriolis,
     damping,
     rotation,
+    small_turn,
     to_euler,
 )
 
@@ -56,6 +58,15 @@ class State(eqx.Module):
     attitude: Quaternion
     velocity: Velocity
     memory: Float[Array, " memory"]
+
+    def moved(self, delta: Float[Array, "12"]) -> "State":
+        """The state moved by position [m] NED, a small turn in body axes [rad] and velocity [m/s, rad/s]."""
+        return State(
+            position=self.position + delta[:3],
+            attitude=compose(self.attitude, small_turn(delta[3:6])),
+            velocity=self.velocity + delta[6:],
+            memory=self.memory,
+        )
 
 
 class Input(eqx.Module):
@@ -221,12 +232,10 @@ class Vehicle(eqx.Module):
             elif isinstance(effect, WaterEffect):
                 water = water + effect()
         free = jnp.asarray(self.free)
-        both = free[:, None] * free[None, :]
-        mass = both * (load.rigid + load.added) + jnp.diag(1.0 - free)
         arms = jnp.cross(self.thrusters.position, self.thrusters.direction)
         return Plant(
             load=load,
-            inverse_mass=both * jnp.linalg.inv(mass),
+            inverse_mass=_inverse_mass(load, free),
             damping=self.damping,
             drive=drive,
             direction=self.thrusters.direction,
@@ -237,6 +246,12 @@ class Vehicle(eqx.Module):
             free=free,
             slider=self.slider,
         )
+
+
+def _inverse_mass(load: Load, free: Float[Array, "6"]) -> Matrix6:
+    """The inverse of the mass matrix on the free axes (1), zero on locked ones (0)."""
+    both = free[:, None] * free[None, :]
+    return both * jnp.linalg.inv(both * (load.rigid + load.added) + jnp.diag(1.0 - free))
 
 
 class Plant(eqx.Module):
@@ -285,9 +300,7 @@ class Plant(eqx.Module):
         """The inverse of the mass matrix under the given input, zero on locked axes."""
         if self.slider is None or drive.slide is None:
             return self.inverse_mass
-        both = self.free[:, None] * self.free[None, :]
-        load = self.carried(drive)
-        return both * jnp.linalg.inv(both * (load.rigid + load.added) + jnp.diag(1.0 - self.free))
+        return _inverse_mass(self.carried(drive), self.free)
 
     def _motion(self, state: State, drive: Input) -> Motion:
         return Motion(

@@ -157,7 +157,7 @@ def test_errors_of_many_noises_match_both_standard_errors():
         assert abs(ratio.mean() - 1.0) < 0.2
     # Together the ten parameters of twenty seeds are a whole: nine in ten within 1.64.
     assert 0.82 < np.mean(np.abs(errors / model) < 1.645) < 0.97
-    assert abs(np.mean([f.chi2_per_sample for f in fits]) - 1.0) < 0.03
+    assert abs(np.mean([f.reduced_chi2 for f in fits]) - 1.0) < 0.03
 
 
 def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
@@ -295,11 +295,25 @@ def test_an_effect_is_freed_on_its_target_only():
         (lambda v: v.added_mass, {"prior": (1.0, 1.0)}, "free\\(vehicle\\)"),
         (lambda v: v.added_mass, {"entries": "some"}, "one of all"),
         (lambda v: v.added_mass, {"prior": 0.0 * jnp.ones((6, 6))}, "nothing free"),
+        (lambda v: v.added_mass, {"prior": jnp.ones((6, 6)).at[[1, 5], [5, 1]].set(0.0)}, "give it a width"),
     ],
 )
 def test_what_cannot_be_free_is_said(free, options, says: str):
     with pytest.raises(ValueError, match=says):
         set_free(boat(), free, **options)
+
+
+@pytest.mark.parametrize(
+    ("free", "options", "says"),
+    [
+        (lambda v: v.added_mass, {}, "start with larger entries"),
+        (lambda v: v.damping.linear, {"entries": "diagonal", "dissipative": True}, "free those off"),
+    ],
+)
+def test_a_start_that_is_not_positive_is_refused(free, options, says: str):
+    coupled = eqx.tree_at(free, boat(), replace_fn=lambda matrix: matrix + 1e3 * (1.0 - jnp.eye(6)))
+    with pytest.raises(ValueError, match=says):
+        set_free(coupled, free, **options)
 
 
 def test_too_few_steps_raise_with_advice_or_stand_in_the_result():
@@ -409,7 +423,7 @@ def test_a_network_learns_damping_that_is_neither_linear_nor_quadratic(loss, tim
     assert _prediction_error(start, truth) > 3.0 * best  # the start is really wrong
     hybrid = _fit_hybrid(start, log, 3.0, loss)
     assert _prediction_error(hybrid.vehicle, truth) < best / times_better
-    np.testing.assert_allclose(hybrid.chi2_per_sample, 1.0, atol=0.15)
+    np.testing.assert_allclose(hybrid.reduced_chi2, 1.0, atol=0.15)
 
 
 def test_an_unfitted_network_is_the_physics_and_a_fitted_one_is_zero_at_rest():

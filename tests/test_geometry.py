@@ -235,7 +235,7 @@ def test_the_corrected_craft_has_the_numbers_of_an_independent_calculation(study
 
 
 def test_numbers_are_drawn_within_their_rounding_and_twins_stay_twins(study):
-    printed, drawn = tethra.tubes(), tethra.tubes(rng=np.random.default_rng(3))
+    printed, drawn = tethra.tubes(), tethra.tubes(np.random.default_rng(3))
     # Frame F1 is [0.50, 0.78, -0.249, -0.956, -5, 0, 90], its mirror image F2.
     off = drawn[0].centre - printed[0].centre
     assert 0 < abs(off[0]) < 5e-3 and 0 < abs(off[1]) < 5e-4 and 0 < abs(off[2]) < 5e-4

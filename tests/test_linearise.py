@@ -13,7 +13,7 @@ import pytest
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
 from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
-from jaxmarine.fitting._linearise import _memory
+from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Placed, Plant, State, Vehicle
 from tests.crafts import independent, log_of, packaged, random_commands, random_start
@@ -205,7 +205,7 @@ def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one():
     assert np.abs(logged - records.velocity).max() > 0.01
     spoilt = dataclasses.replace(this.problem, records=dataclasses.replace(records, velocity=logged))
     true = dataclasses.replace(plants, sensors=())
-    remembered, expected = _memory(spoilt, plants)[0], _memory(this.problem, true)[0]
+    remembered, expected = fluid_memory(spoilt, plants)[0], fluid_memory(this.problem, true)[0]
     # What the sensors hide at their least is divided by itself and LEAST_SHOWN squared.
     assert np.abs(remembered - expected).max() < 1e-5 * np.abs(expected).max()
 

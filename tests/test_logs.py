@@ -59,7 +59,7 @@ def log_of(t: np.ndarray, **channels: np.ndarray) -> Log:
         channels=values,
         commands=np.zeros((len(t), 1)),
         wrench=None,
-        thrusters=("main",),
+        command_names=("main",),
         name="made",
     )
 
@@ -73,7 +73,7 @@ def test_a_file_written_by_hand_is_read_as_it_stands(tmp_path):
     path.write_text("t,u,v,r,port,star\n" + "\n".join(rows).replace("0.0,1.5,0,,", "0,1.5,0,2e-1,"))
     log = read_log(path, PLANAR)
     assert log.name == "hand.csv"
-    assert log.thrusters == ("port", "star")
+    assert log.command_names == ("port", "star")
     assert log.measured == ("u", "v", "r")
     assert np.array_equal(log.t, np.arange(10) / 2)
     assert np.array_equal(log.channels[:, CHANNELS.index("v")], np.arange(10))
@@ -132,7 +132,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, steps, channels, command
         channels=channels,
         commands=None if by_wrench else commands,
         wrench=100 * commands * np.arange(1, 7) if by_wrench else None,
-        thrusters=("main",),
+        command_names=("main",),
         name="original",
     )
     path = tmp_path_factory.mktemp("log") / f"copy{kind}"
@@ -282,7 +282,7 @@ def test_a_log_of_unequal_parts_cannot_be_made(change):
         "channels": np.zeros((10, 18)),
         "commands": np.zeros((10, 1)),
         "wrench": None,
-        "thrusters": ("main",),
+        "command_names": ("main",),
         "name": "",
     }
     # with shape checks on, as in tests, jaxtyping sees some of them first

@@ -332,8 +332,8 @@ def test_a_quick_run_of_the_nonlinear_damping_ends_with_every_model(tmp_path):
     # A minute of sailing and few steps: the networks must fit it better, and beyond it do no harm.
     fits = run["fits"]
     for loss in ("one_step", "trajectory"):
-        assert np.isfinite(fits[f"hybrid, {loss}"]["chi2_per_sample"])
-    assert fits["hybrid, trajectory"]["chi2_per_sample"] < fits["classical, trajectory"]["chi2_per_sample"]
+        assert np.isfinite(fits[f"hybrid, {loss}"]["reduced_chi2"])
+    assert fits["hybrid, trajectory"]["reduced_chi2"] < fits["classical, trajectory"]["reduced_chi2"]
     assert set(nonlinear_damping.SHOWN) < set(run["inside"]) == set(run["beyond"])
     wrong = run["mass_error_percent"]["wrong mass, trajectory"]["diagonal"]
     assert wrong == pytest.approx(100 * nonlinear_damping.HEAVY, rel=1e-6)

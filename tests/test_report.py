@@ -12,7 +12,7 @@ import pytest
 
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS, DOFS
-from jaxmarine.diagnosis._result import (
+from jaxmarine.diagnosis import (
     Alternative,
     BeforeAfter,
     Diagnosis,

@@ -11,8 +11,7 @@ import scipy.integrate
 
 import jaxmarine as jm
 from jaxmarine._errors import InputError
-from jaxmarine.fitting import cut, linearise, predict
-from jaxmarine.fitting._linearise import Affine, Problem, start_precision
+from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
 from jaxmarine.physics import Slide, Slider, rotation
 from jaxmarine.simulation import substeps
 from jaxmarine.vehicle import Input, inverse_dynamics
@@ -242,7 +241,7 @@ def test_the_table_is_read_written_and_has_a_column(tmp_path):
     assert np.array_equal(jm.read_log(tmp_path / "log.csv", again).commands, log.commands)
     with pytest.raises(InputError, match="slider"):
         jm.write_log(
-            dataclasses.replace(log, commands=log.commands[:, :3], thrusters=again.thruster_names),
+            dataclasses.replace(log, commands=log.commands[:, :3], command_names=again.thruster_names),
             tmp_path / "c.csv",
         )
         jm.read_log(tmp_path / "c.csv", again)

@@ -49,7 +49,7 @@ def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys):
     assert finding.label == "thruster_gain:port_h"
     factor = finding.parameters["factor"]
     assert abs(factor.value - 0.72) < 3 * factor.std
-    assert names["fit"].chi2_per_sample > 3.0  # no damping can stand in for the thruster
+    assert names["fit"].reduced_chi2 > 3.0  # no damping can stand in for the thruster
     (placed,) = jm.load_vehicle(folder / "extended.toml").placed
     assert float(placed.effect.parameters()["factor"][1]) == factor.value
     assert {"index.html", "diagnosis.json", "figures"} <= set(os.listdir(folder / "report"))

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from . import catalogue, outside
 from .catalogue import DAMP, LASTING, Draw, Scales, scales
@@ -23,7 +24,7 @@ from .excitation import ALONE, axes
 from .excitation import commands as operator
 from .plant import Effect, Model, Outside, Run, observed, simulate
 from .severity import altered, equivalents, likeness, nearest, prediction_error
-from .vehicle import DOFS, FOLDER, Array, Vehicle, dumps, from_tables, load, perturbed
+from .vehicle import DOFS, FOLDER, Array, Vehicle, from_tables, load, perturbed
 
 DT = 0.1  # s
 STEEPEST = 1.05  # rad, pitch and roll that a case may reach
@@ -202,7 +203,7 @@ def make_case(
         raw = perturbed(raw, SPREAD, rng)
         answer["options"]["misfit"] = True
     out_dir.mkdir(parents=True, exist_ok=True)
-    (out_dir / "vehicle.toml").write_text(dumps(raw))
+    (out_dir / "vehicle.toml").write_text(tomli_w.dumps(raw))
     (out_dir / "train.csv").write_text(table(truth, train, truth.noise, rng))
     (out_dir / "test.csv").write_text(table(truth, test, truth.noise, rng))
     (out_dir / "answer.json").write_text(json.dumps(answer, indent=1) + "\n")

@@ -344,13 +344,13 @@ def simulate(
     return Run(states, accelerations)
 
 
-def thrust_states(model: Model, commands: Array, thrust: Array | float, dt: float = 0.1) -> Array:
-    """Thrust [N] at every sample just before its command acts, (K, thrusters, B)."""
+def thrust_states(model: Model, commands: Array) -> Array:
+    """Thrust [N] at every sample (10 Hz) just before its command acts, (K, thrusters, B); from none."""
     drive = model.drive(commands)
     each = np.arange(commands.shape[1])
-    now = np.broadcast_to(np.asarray(thrust, float), commands.shape[1:]) + 0.0
+    now = np.zeros(commands.shape[1:])
     out = np.empty_like(drive)
-    steps = [(shift, model.decay(h)) for _, h, shift in model.intervals(dt, dt)]
+    steps = [(shift, model.decay(h)) for _, h, shift in model.intervals(0.1, 0.1)]
     for k in range(len(commands)):
         out[k] = now
         for shift, left in steps:

@@ -13,13 +13,10 @@ SAMPLES = 4500  # of a training and a test log together
 DISTINCT = 12.0  # chi-square below which two effects count as the same
 
 
-def prediction_error(
-    model: Model, run: Run, commands: Array, seen: Array, thrust: Array | float = 0.0
-) -> float:
+def prediction_error(model: Model, run: Run, commands: Array, seen: Array) -> float:
     """Mean square of (prediction - `seen`) / noise, over channels and 5 s from true start states.
 
-    `commands` (K, thrusters), `seen` (K, 18): what noise-free sensors log; `thrust`: initial thrust
-    [N].
+    `commands` (K, thrusters), `seen` (K, 18): what noise-free sensors log.
     """
     k = len(commands)
     starts = np.arange(0, k - HORIZON - 1, 25)
@@ -27,7 +24,7 @@ def prediction_error(
     rows = np.maximum(starts[None, :] + np.arange(-depth, HORIZON + 1)[:, None], 0)
     held = commands[rows].transpose(0, 2, 1)
     state = run.states[starts, :, 0].T
-    lagging = thrust_states(model, commands[:, :, None], thrust)[starts, :, 0].T
+    lagging = thrust_states(model, commands[:, :, None])[starts, :, 0].T
     out = simulate(
         [(0, model)], held, state, HORIZON + 1, t0=0.1 * starts, lead=depth, thrust=lagging
     ).signals()

@@ -1,4 +1,4 @@
-"""Vehicle files: read into arrays, written back as TOML; SI units, axes of the contract."""
+"""Vehicle files, read into arrays; SI units, axes of the contract."""
 
 import tomllib
 from dataclasses import dataclass
@@ -127,29 +127,6 @@ def load(path: Path | str) -> Vehicle:
     path = Path(path)
     path = path if path.suffix else FOLDER / f"{path}.toml"
     return from_tables(tomllib.loads(path.read_text()))
-
-
-def dumps(raw: dict[str, Any]) -> str:
-    """The tables as TOML text: scalars first, then tables, then lists of tables."""
-
-    def value(v: Any) -> str:
-        if isinstance(v, str):
-            return f'"{v}"'
-        if isinstance(v, list | tuple):
-            return "[" + ", ".join(value(x) for x in v) + "]"
-        return repr(v)
-
-    lines = [f"{k} = {value(v)}" for k, v in raw.items() if not is_table(v)]
-    for k, v in raw.items():
-        for table in (v if isinstance(v, list) else [v]) if is_table(v) else []:
-            lines += ["", f"[[{k}]]" if isinstance(v, list) else f"[{k}]"]
-            lines += [f"{a} = {value(b)}" for a, b in table.items()]
-    return "\n".join(lines) + "\n"
-
-
-def is_table(v: Any) -> bool:
-    """Whether a value is a table or a list of tables."""
-    return isinstance(v, dict) or (isinstance(v, list) and bool(v) and isinstance(v[0], dict))
 
 
 def perturbed(raw: dict[str, Any], spread: float, rng: np.random.Generator) -> dict[str, Any]:

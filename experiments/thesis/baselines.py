@@ -145,30 +145,20 @@ def _weighted(columns: Float[Array, "times 6 p"], right: Motions) -> Float[Array
 # --- by a vehicle --------------------------------------------------------------------------------
 
 
-def start_of(vehicle: jm.Vehicle, estimate: Estimate | None = None) -> jm.Vehicle:
-    """The vehicle with known propulsion and restoring forces, and masses and damping of an estimate.
+def start_of(vehicle: jm.Vehicle) -> jm.Vehicle:
+    """The vehicle with known propulsion and restoring forces, and masses and damping that are guessed.
 
-    None: guesses that are 20 to 50 % off and have no coupling. The quadratic damping stands in an effect,
-    which has six numbers.
+    The guesses are 20 to 50 % off and have no coupling. The quadratic damping stands in an effect, which has
+    six numbers.
     """
-    if estimate is None or estimate.mass is None:
-        mass, linear = np.diag([280.0] * 3 + [70.0] * 3), np.diag([80.0] * 3 + [35.0] * 3)
-        quadratic = np.array([60.0] * 3 + [20.0] * 3)
-    else:
-        mass = _positive(estimate.mass, 10.0)
-        linear, quadratic = estimate.linear, np.diag(estimate.quadratic)
+    mass, linear = np.diag([280.0] * 3 + [70.0] * 3), np.diag([80.0] * 3 + [35.0] * 3)
+    quadratic = np.array([60.0] * 3 + [20.0] * 3)
     bare = eqx.tree_at(
         lambda v: (v.body.matrix, v.damping.linear, v.damping.quadratic),
         vehicle,
         (jnp.asarray(mass), jnp.asarray(linear), jnp.zeros((6, 6))),
     )
     return bare.place(jm.Placed(QuadraticDamping(jnp.asarray(quadratic))))
-
-
-def _positive(matrix, least: float) -> np.ndarray:
-    """The nearest symmetric matrix with eigenvalues of at least that."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return (vectors * np.maximum(values, least)) @ vectors.T
 
 
 def free(vehicle: jm.Vehicle):

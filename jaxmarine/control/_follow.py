@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import Matrix6, Velocity, Wrench
-from ..physics import apply, compose, conjugate, rotation, small_turn, step_lengths
+from ..physics import apply, compose, conjugate, rotation, step_lengths
 from ..simulation import Trajectory, hold, substeps
 from ..vehicle import Input, Plant, State, Vehicle
 from ._path import Reference
@@ -63,8 +63,7 @@ def follow(
 
     - `reference`: at the samples, where the state is measured. `start`: the state at the first.
     - `feedback`: None leaves the wrench alone.
-    - `errors`: what the sensors add to position [m], attitude (a small turn in body axes) [rad] and
-      velocity [m/s, rad/s] at each sample.
+    - `errors`: by what the sensors move the state at each sample (`State.moved`).
     """
     if wrench.shape != (len(reference.t), 6):
         raise ValueError(f"Argument `wrench` must be ({len(reference.t)}, 6), but is {wrench.shape}.")
@@ -81,7 +80,7 @@ def _run(vehicle: Vehicle, reference: Reference, wrench, start, feedback, errors
     def step(state: State, now):
         t, dt, wanted, tau, error = now
         if feedback is not None:
-            tau = tau + feedback(wanted, _measured(state, error))
+            tau = tau + feedback(wanted, state.moved(error))
         drive = _of_wrench(plant, t, tau)
         shown = plant.readings(state, plant.acceleration(state, drive))
         return hold(plant, state, drive, dt, split), (state, shown, tau)
@@ -89,15 +88,6 @@ def _run(vehicle: Vehicle, reference: Reference, wrench, start, feedback, errors
     over = (reference.t, step_lengths(reference.t), reference.states, wrench, errors)
     _, (states, channels, applied) = jax.lax.scan(step, start, over)
     return Run(Trajectory(reference.t, channels, states), applied)
-
-
-def _measured(state: State, error: Float[Array, "12"]) -> State:
-    return State(
-        state.position + error[:3],
-        compose(state.attitude, small_turn(error[3:6])),
-        state.velocity + error[6:],
-        state.memory,
-    )
 
 
 def _of_wrench(plant: Plant, t, tau: Wrench) -> Input:

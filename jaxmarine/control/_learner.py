@@ -8,14 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from .._types import ATTITUDE, CHANNELS, Velocity
-from ..fitting import fit
-from ..fitting._free import Select
+from .._types import Velocity
+from ..fitting import Select, fit, wrapped
 from ..logs import Log, smooth_states
 from ..simulation import initial_state, simulate
 from ..vehicle import Input, Vehicle
-
-_ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,9 +129,8 @@ class Learner:
 
 def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, "18"]) -> float:
     """Root-mean-square difference of a roll-out to what was measured, in units of the noise."""
-    off = np.asarray(simulate(vehicle, log, start).channels) - log.channels
-    off[:, _ANGLES] = np.angle(np.exp(1j * off[:, _ANGLES]))
-    scaled = off / noise
+    off = wrapped(simulate(vehicle, log, start).channels - log.channels)
+    scaled = np.asarray(off) / noise
     used = np.isfinite(log.channels) & np.isfinite(noise)
     return float(np.sqrt((scaled[used] ** 2).mean()))
 

@@ -8,6 +8,9 @@ from ._result import (
     Alternative as Alternative,
 )
 from ._result import (
+    BeforeAfter as BeforeAfter,
+)
+from ._result import (
     Diagnosis as Diagnosis,
 )
 from ._result import (
@@ -17,6 +20,18 @@ from ._result import (
     Gain as Gain,
 )
 from ._result import (
+    MissingWrench as MissingWrench,
+)
+from ._result import (
     Parameter as Parameter,
+)
+from ._result import (
+    Predictions as Predictions,
+)
+from ._result import (
+    Recalibrated as Recalibrated,
+)
+from ._result import (
+    Weighed as Weighed,
 )
 from ._worth import gain_of as gain_of

@@ -21,7 +21,7 @@ from .._precision import need_double
 from ..effects import AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import start_precision, wrapped
 from ..logs import Log
-from ..physics import compose, small_turn, step_lengths, to_euler
+from ..physics import step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
 from ._model import base_coefficients
@@ -131,13 +131,7 @@ class _Causes(eqx.Module):
         plant = self.plant_of(theta, 0)
 
         def one(start, tracks, moved):
-            state = State(
-                start.position + moved[:3],
-                compose(start.attitude, small_turn(moved[3:6])),
-                start.velocity + moved[6:],
-                start.memory,
-            )
-            return self._roll(plant, state, tracks)[1]
+            return self._roll(plant, start.moved(moved), tracks)[1]
 
         return jax.vmap(one)(starts, jax.tree.map(self._cut, self._tracks(plant, commands)), moved)
 

@@ -24,7 +24,7 @@ from ._check import (
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
-from ._fit import noise_of as noise_of
+from ._free import Select as Select
 from ._least_squares import (
     LeastSquares as LeastSquares,
 )
@@ -44,21 +44,22 @@ from ._linearise import (
     Affine as Affine,
 )
 from ._linearise import (
-    Problem as Problem,
-)
-from ._linearise import (
     Statistics as Statistics,
 )
 from ._linearise import (
     linearise as linearise,
 )
-from ._linearise import (
+from ._noise import noise_of as noise_of
+from ._rollout import (
+    Problem as Problem,
+)
+from ._rollout import (
     predict as predict,
 )
-from ._linearise import (
+from ._rollout import (
     start_precision as start_precision,
 )
-from ._linearise import (
+from ._rollout import (
     wrapped as wrapped,
 )
 from ._solver import (

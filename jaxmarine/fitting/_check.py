@@ -22,9 +22,9 @@ from ..vehicle import Vehicle
 from ._advice import advice
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
-from ._fit import noise_of
 from ._free import set_free
-from ._linearise import predict
+from ._noise import at_residual, noise_of
+from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
@@ -175,7 +175,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
     estimated = np.isfinite(noise) & np.isnan(vehicle.stated_noise)
     if np.isfinite(refined.cost) and estimated.any():
-        task = _at_residual(task, refined, estimated)
+        task = _reweighed(task, refined, estimated)
         refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
         raise InputError(
@@ -237,21 +237,12 @@ def evaluated(
     )
 
 
-def _at_residual(task: Task, refined: Refined, channels: np.ndarray) -> Task:
-    """The task with the noise of some channels raised to the residual.
-
-    At most to what a channel changes by within a window, which is the most that it can be missed by.
-    """
+def _reweighed(task: Task, refined: Refined, channels: np.ndarray) -> Task:
+    """The task with the noise of some channels raised to the residual."""
     windows = task.problem.windows
-    weight = np.asarray(windows.weight)
-    residual = np.asarray(predict(task.problem, task.affine.theta, refined.delta)[1])
-    missing = weight == 0
-    squares = np.ma.masked_array(residual, missing) ** 2
-    missed = np.sqrt(np.ma.median(squares.mean(axis=1), axis=0)).filled(1.0)
-    changes = np.ma.masked_array(np.asarray(windows.measured) * weight, missing).std(axis=1)
-    most = changes.mean(axis=0).filled(1.0)
-    factor = np.where(channels, np.maximum(np.minimum(missed, most), 1.0), 1.0)
-    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight / factor))
+    residual = predict(task.problem, task.affine.theta, refined.delta)[1]
+    factor = np.where(channels, at_residual(residual, windows.measured, windows.weight), 1.0)
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, windows.weight / factor)
 
 
 def coefficient_name(kind: str, dof: str) -> str:

@@ -10,11 +10,12 @@ from jaxtyping import Float, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
-from ..logs import Log, sensor_noise
+from ..logs import Log
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Select, Selection, set_free
+from ._noise import noise_of
 from ._one_step import fit_one_step
 from ._trajectory import fit_trajectory
 from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
@@ -36,7 +37,7 @@ class Fit:
     - `vehicle`, and the `start` it was fitted from.
     - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do
       not determine.
-    - `chi2_per_sample`: chi-square per degree of freedom; 1 where noise alone is left. For the
+    - `reduced_chi2`: chi-square per degree of freedom; 1 where noise alone is left. For the
       one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `coverage`: the motion that the fit has seen, per free axis.
@@ -47,7 +48,7 @@ class Fit:
     vehicle: Vehicle
     start: Vehicle
     uncertainty: Uncertainty
-    chi2_per_sample: float
+    reduced_chi2: float
     steps: int
     converged: bool
     result: str
@@ -119,10 +120,17 @@ def fit(
     - `reject`: leaves out windows whose chi-square lies far above the median one (trajectory only), because
       something acted in them that is not in the model: a collision, a fault. Less than half may be such.
     - `window` [s]: length of the windows, which for one-step are the groups of the sandwich.
+    - `max_steps`: of each solve, those included that found no decrease. There are up to two: a stiffer
+      vehicle is fitted again with finer integration, and one-step weighs axes anew.
+    - `throw`: raises where the fit did not succeed; False: `converged` and `result` tell.
     - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle
       states, else estimated from the logs.
 
     The total mass matrix stays symmetric and positive definite, whatever is free of it.
+
+    Raises `InputError` for logs that cannot be fitted (none, too short, too slowly sampled, nothing that ever
+    changes), `ValueError` for arguments that no fit can have and without double precision, and, with `throw`,
+    `FitError` for a simulation that diverged and a solve that did not reach its minimum.
     """
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
     if not logs:
@@ -151,7 +159,7 @@ def fit(
         vehicle=freed(jnp.asarray(estimate.raw)),
         start=vehicle,
         uncertainty=uncertainty(freed, scales, z_units, estimate),
-        chi2_per_sample=estimate.chi2 / max(estimate.freedom, 1.0),
+        reduced_chi2=estimate.chi2 / max(estimate.freedom, 1.0),
         steps=estimate.steps,
         converged=estimate.converged,
         result=estimate.result,
@@ -161,21 +169,6 @@ def fit(
         noise=noise,
         rejected=estimate.rejected,
     )
-
-
-def noise_of(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, "18"]:
-    """Noise per channel: stated by the vehicle, else estimated from the logs; NaN: unmeasured.
-
-    Raises `InputError` where nothing that was measured can be weighed.
-    """
-    noises = np.array([sensor_noise(log, dict(vehicle.sensors)) for log in logs])
-    out = np.full(noises.shape[1], np.nan)
-    seen = np.isfinite(noises).any(axis=0)
-    out[seen] = np.nanmedian(noises[:, seen], axis=0)
-    if not seen.any():
-        names = ", ".join(log.name for log in logs)
-        raise InputError(f"{names}: no measured channel ever changes; use a log in which the vehicle moves.")
-    return out
 
 
 def _judged(estimate: Estimate, units: Units) -> Estimate:
@@ -226,7 +219,7 @@ def _coverage(fit: Fit) -> list[str]:
 
 def _ending(fit: Fit) -> str:
     return (
-        f"{fit.loss} loss, chi-square per degree of freedom {fit.chi2_per_sample:.3g}, "
+        f"{fit.loss} loss, chi-square per degree of freedom {fit.reduced_chi2:.3g}, "
         f"{fit.steps} steps: {fit.result}"
         + (f"; {len(fit.rejected)} windows rejected" if len(fit.rejected) else "")
     )

@@ -239,7 +239,10 @@ def set_free(
             size = np.where(value > 0, value, 1.0)
         width = std.ravel()[flat] if not isinstance(prior, float | int) else float(prior) * size
         if (width == 0).any():
-            raise ValueError(f"`{name}`: an entry that the prior holds is coupled to free ones.")
+            raise ValueError(
+                f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "
+                "hold those as well."
+            )
         parts.append(part)
         sizes.append(size)
         widths.append(width)
@@ -327,7 +330,10 @@ def _remainder(matrix: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.n
     inverse = np.linalg.inv(np.linalg.cholesky(inside + np.diag(np.diag(matrix) == 0)))
     least = 1.0 + np.linalg.eigvalsh(inverse @ (matrix - inside) @ inverse.T).min()
     if least <= 0:
-        raise ValueError("The entries that are held do not leave the start's matrix positive.")
+        raise ValueError(
+            "The entries that are held do not leave the start's matrix positive; free those off the diagonal "
+            "as well, or start with smaller ones."
+        )
     own = np.where(blocks, min(1.0, least) * inside, 0.0)
     return matrix - own, own
 
@@ -373,7 +379,10 @@ def _inertia(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) ->
     other = np.asarray(vehicle.mass_matrix)[block] - leaf[block]
     blocks = _blocks(mask[block])
     if not _positive(total):
-        raise ValueError("The start's mass matrix is not positive definite on the free axes.")
+        raise ValueError(
+            "The start's mass matrix is not positive definite on the free axes; start with larger entries on "
+            "the diagonal, or smaller ones off it, of `body.matrix` or `added_mass`."
+        )
     held = (leaf + leaf.T)[block] / 2 * blocks
     rest, own = _inertia_remainder(total, total - held, blocks)
     lower = tuple((int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(blocks)), strict=True))

@@ -17,8 +17,8 @@ from .._precision import need_double
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._estimate import units
-from ._fit import noise_of
 from ._free import Select, Selection, set_free
+from ._noise import noise_of
 from ._one_step import OneStep, groups_of, one_step, scatter_of
 
 # Share of a regressor that must be left after the others are taken out of it.
@@ -92,6 +92,9 @@ def least_squares(
 
     Axes are weighed by the scatter that a first solve leaves. Noise in the velocities biases the
     result, as it does that of `fit(..., loss="one_step")`.
+
+    Raises `InputError` for logs that cannot be fitted, as `fit` does, and `ValueError` where a freed
+    parameter does not enter linearly, where the data do not determine one, and without double precision.
     """
     logs = (logs,) if isinstance(logs, Log) else tuple(logs)
     if not logs:

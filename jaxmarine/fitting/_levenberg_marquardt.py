@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ._damping import Trust, pick
+from ._trust import Trust, pick
 
 
 class Restarts(eqx.Module):
@@ -89,6 +89,7 @@ class NormalLevenbergMarquardt(optx.AbstractMinimiser[Float[Array, " weights"], 
     """
 
     rtol: float
+    # What optimistix asks of any minimiser besides.
     atol: float = 0.0
     norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
 

@@ -16,49 +16,28 @@ the curvature that Gauss-Newton leaves out. For 110 parameters it is many times 
 through the solver.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from .._compiled import compiled
-from ..physics import Drive, Slide, Thrust, apply, attitude_rate, compose, rotation, small_turn, thrust
-from ..simulation import hold
+from ..physics import Drive, apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
-from ._windows import ANGLES, Records, Windows
-
-# Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
-# keeps the elimination regular where a component was not measured; the tight one holds locked axes.
-LOOSE, TIGHT = 1e3, 1e-6
-
-# Sensors that show less of a velocity than this share of it do not tell what it was.
-LEAST_SHOWN = 1e-3
+from ._rollout import (
+    Problem,
+    fluid_memory,
+    of_segment,
+    roll_out,
+    start_of,
+    thrust_of,
+    tracks_of,
+    wrapped,
+)
 
 # Windows that are linearised together.
 BATCH = 10
-
-PlantOf = Callable[[Float[Array, " parameters"], Array], Plant]
-
-
-class Problem(eqx.Module):
-    """Residuals of windows as a function of parameters.
-
-    - `plant_of(theta, segment)`: the plant of a segment from its parameter vector.
-    - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
-    - `accelerations`: whether any are measured.
-    - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
-    """
-
-    plant_of: PlantOf
-    records: Records
-    windows: Windows
-    start_precision: Float[Array, "12"]
-    accelerations: bool = eqx.field(static=True)
-    split: int | Int[Array, ""] = 1
 
 
 class Affine(eqx.Module):
@@ -77,14 +56,6 @@ class Affine(eqx.Module):
     def at(self, z: Float[Array, " z"]) -> "Affine":
         """The same map seen from z."""
         return Affine(self(z), self.columns, self.acts)
-
-
-def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
-    """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes."""
-    surge, sway, heave, roll, pitch, yaw = free
-    level = max(surge, sway)
-    moves = [level, level, max(heave, level * max(roll, pitch)), roll, pitch, yaw, *free]
-    return np.where(np.array(moves) > 0, LOOSE, TIGHT) ** -2.0
 
 
 class Statistics(eqx.Module):
@@ -116,16 +87,6 @@ def _eliminated(window: Statistics):
     return window.chi2 - b @ b, window.g_z - b @ a, window.h_zz - a.T @ a
 
 
-def _start(windows: Windows, delta, memory) -> State:
-    """The window's first state, moved by `delta` (position NED, small turn in body axes, velocity)."""
-    return State(
-        position=windows.position + delta[:3],
-        attitude=compose(windows.attitude, small_turn(delta[3:6])),
-        velocity=windows.velocity + delta[6:],
-        memory=memory,
-    )
-
-
 def _flat(state: State) -> Array:
     return jnp.concatenate([state.position, state.attitude, state.velocity])
 
@@ -134,48 +95,12 @@ def _unflat(x: Array, lagged: Array) -> State:
     return State(x[:3], x[3:7], x[7:13], lagged)
 
 
-def wrapped(error: Float[Array | np.ndarray, "*steps 18"]) -> Array:
-    """Differences of angles within (-pi, pi]."""
-    return jnp.where(ANGLES, (error + jnp.pi) % (2 * jnp.pi) - jnp.pi, error)
-
-
-def _pick(tree, index):
-    """One segment's part of what is stacked along segments.
-
-    With a single segment the index is not looked at: under `vmap` a gather would give every step a
-    copy of its own, and products with shared matrices would become batched ones.
-    """
-    if jax.tree.leaves(tree)[0].shape[0] == 1:
-        return jax.tree.map(lambda a: a[0], tree)
-    return jax.tree.map(lambda a: a[index], tree)
-
-
 def _contract(by_constants, slopes, segment):
     """Derivatives with respect to z from those with respect to a segment's constants: [steps, rows, z]."""
     out = by_constants @ slopes[0]
     for s in range(1, slopes.shape[0]):
         out = jnp.where((segment == s)[:, None, None], by_constants @ slopes[s], out)
     return out
-
-
-def _drives(problem: Problem, drives: Drive) -> Thrust:
-    """Thrust over each hold and at each sample of all logs, for the drive constants of each segment."""
-    records = problem.records
-
-    def one(t, commands, segment):
-        here = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), _pick(drives, segment))
-        return thrust(here, t, commands)
-
-    thrusters = drives.max_thrust.shape[-1]
-    return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
-
-
-def _slides(problem: Problem, plants: Plant) -> Slide | None:
-    """The motion of the sliding mass over each hold of all logs; its servo is the same in all segments."""
-    plant = jax.tree.map(lambda a: a[0], plants)
-    if plant.slider is None:
-        return None
-    return jax.vmap(plant.slides)(problem.records.t, problem.records.commands)
 
 
 def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
@@ -188,7 +113,7 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     unit = np.eye(len(leaves))
 
     def along(tangent):
-        return jax.jvp(lambda d: _drives(problem, d), (drives,), (tangent,))[1]
+        return jax.jvp(lambda d: thrust_of(problem, d), (drives,), (tangent,))[1]
 
     def one(s, out):
         """With what the constants of one segment add."""
@@ -205,121 +130,6 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     shape = (*problem.records.t.shape, *jax.tree.leaves(slopes)[0].shape[1:])
     nothing = jnp.zeros(shape)
     return jax.lax.fori_loop(0, problem.records.segment.max() + 1, one, (nothing, nothing))
-
-
-def _inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """By cofactors, which unlike a factorisation is done for all samples at once; finite for any matrix."""
-    cofactors = jnp.cross(jnp.roll(a, -1, 1), jnp.roll(a, -2, 1), axis=0)
-    determinant = (a[:, 0] * cofactors[:, 0]).sum()
-    return cofactors.T * determinant / (determinant**2 + LEAST_SHOWN**6)
-
-
-def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Array, "6"]) -> Float[Array, "6"]:
-    """The velocity that the sensors show as the logged one: they are affine, and rates show no speeds."""
-
-    def shown(nu):
-        state = State(jnp.zeros(3), attitude, nu, jnp.zeros(0))
-        return plant.readings(state, jnp.zeros(6))[6:12]
-
-    slope = jax.jacfwd(shown)(jnp.zeros(6))
-    rest = logged - shown(jnp.zeros(6))
-    rates = _inverse(slope[3:, 3:]) @ rest[3:]
-    return jnp.concatenate([_inverse(slope[:3, :3]) @ (rest[:3] - slope[:3, 3:] @ rates), rates])
-
-
-def _memory(problem: Problem, plants: Plant):
-    """Fluid memory at every step of the logs, from the smoothed logged motion, and its slope per lag."""
-    records = problem.records
-    if not plants.has_memory:
-        nothing = jnp.zeros((*records.t.shape, 0))
-        return nothing, nothing
-    lags = jax.vmap(lambda plant: plant.memory_lag())(plants)
-
-    def through_water(attitude, logged, segment):
-        plant = _pick(plants, segment)
-        return plant.relative(attitude, _true_velocity(plant, attitude, logged))
-
-    # Taken as measured: what a change of the current does to the past of a window is left out.
-    relative = jax.lax.stop_gradient(
-        jax.vmap(jax.vmap(through_water))(records.attitude, records.velocity, records.segment)
-    )
-
-    def filtered(lags):
-        def one(dt, velocity, segment):
-            decay = jnp.exp(-dt[:, None] / lags[segment])
-            between = 0.5 * (velocity + jnp.concatenate([velocity[1:], velocity[-1:]]))
-
-            def step(z, now):
-                decay, velocity = now
-                return velocity + (z - velocity) * decay, z
-
-            return jax.lax.scan(step, velocity[0], (decay, between))[1]
-
-        return jax.vmap(one)(records.dt, relative, records.segment)
-
-    return jax.jvp(filtered, (lags,), (jnp.ones_like(lags),))
-
-
-class _Track(eqx.Module):
-    """What drives one window, step by step: inputs, fluid memory, segment and length of the hold."""
-
-    over: Input  # over the hold
-    instant: Input  # at the sample
-    lagged: Array
-    segment: Array
-    dt: Array
-
-
-def _tracks(problem: Problem, plants: Plant, push: Thrust, lagged) -> _Track:
-    """The tracks of all windows, stacked."""
-    records, log, step = problem.records, problem.windows.log[:, None], problem.windows.step
-    t, dt = records.t[log, step], records.dt[log, step]
-    commands = records.commands[log, step, : push.mean.shape[-1]]
-    common = (commands, records.wrench[log, step], t)
-    slide = jax.tree.map(lambda a: a[log, step], _slides(problem, plants))
-    return _Track(
-        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),
-        instant=Input(push.instant[log, step], *common, slide=slide),
-        lagged=lagged[log, step],
-        segment=records.segment[log, step],
-        dt=dt,
-    )
-
-
-def _roll(problem: Problem, plants: Plant, track: _Track, start: State, follow: bool):
-    """States at all steps of one window, the first included, and at the ends of all holds.
-
-    `follow`: the fluid memory at the start of each hold is that of the track (filtered from measured
-    velocity) instead of the simulated one.
-    """
-
-    def step(state, now):
-        if follow:
-            state = eqx.tree_at(lambda s: s.memory, state, now.lagged)
-        after = hold(_pick(plants, now.segment), state, now.over, now.dt, problem.split)
-        return after, (state, after)
-
-    return jax.lax.scan(step, start, track)[1]
-
-
-@compiled
-def predict(problem: Problem, theta, delta):
-    """Predicted channels of every window [windows, steps, 18] and the residuals, weighted."""
-    plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
-    lagged = _memory(problem, plants)[0]
-    tracks = _tracks(problem, plants, _drives(problem, plants.drive), lagged)
-
-    def one(windows, track, delta):
-        states, _ = _roll(problem, plants, track, _start(windows, delta, track.lagged[0]), follow=False)
-
-        def show(state, drive, segment):
-            plant = _pick(plants, segment)
-            return plant.readings(state, plant.acceleration(state, drive))
-
-        return jax.vmap(show)(states, track.instant, track.segment)
-
-    channels = jax.vmap(one)(problem.windows, tracks, delta)
-    return channels, wrapped(channels - problem.windows.measured) * problem.windows.weight
 
 
 def _exponential(f: Array, split) -> tuple[Array, Array]:
@@ -353,7 +163,7 @@ def _chain(plant: Plant) -> _Chain:
 def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statistics:
     """Statistics of all windows at z = 0.
 
-    - `delta` [windows, 12]: changes of the windows' initial states.
+    - `delta` [windows, 12]: changes of the windows' initial states (`State.moved`).
     - `knots`: adds, behind z, a free wrench on the hull that is constant over each of so many equal parts
       of a window: columns knot by knot, six axes each. Whatever acts on the hull is a sum of these.
 
@@ -377,8 +187,8 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
     d_mean, d_at = _drive_sensitivities(problem, plants.drive, drive_slopes)
-    lagged, d_lagged = _memory(problem, plants)
-    tracks = _tracks(problem, plants, _drives(problem, plants.drive), lagged)
+    lagged, d_lagged = fluid_memory(problem, plants)
+    tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
     log, step = problem.windows.log[:, None], problem.windows.step
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
@@ -387,7 +197,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
     def tangent(x, drive, lagged, segment):
         """nu', the derivatives of the balance, and the inverse mass at one point."""
-        plant = _pick(plants, segment)
+        plant = of_segment(plants, segment)
         nu_dot = plant.acceleration(_unflat(x, lagged), drive)
         first = 0 if theta.shape[0] == 1 else segment
         slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
@@ -422,7 +232,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         return exp, dt * (phi[:, :, 7:] @ nu_z)
 
     def shown(x, nu_dot, sensors, segment):
-        plant = _pick(plants, segment)
+        plant = of_segment(plants, segment)
         _, unravel = jax.flatten_util.ravel_pytree(plant.sensors)
         plant = eqx.tree_at(lambda p: p.sensors, plant, unravel(sensors))
         return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
@@ -431,7 +241,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         """Readings at every sample of a window and their derivatives with respect to x and z."""
 
         def one(x, nu_dot, segment):
-            sensors = _pick(chain, segment).sensors
+            sensors = of_segment(chain, segment).sensors
             slopes = jax.jacfwd(shown, argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
             return shown(x, nu_dot, sensors, segment), slopes
 
@@ -444,19 +254,20 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         windows, track, delta, d_mean, d_at, d_slow = now
 
         def start(delta):
-            return _flat(_start(windows, delta, track.lagged[0]))
+            return _flat(start_of(windows, delta, track.lagged[0]))
 
-        states, after = _roll(problem, plants, track, _start(windows, delta, track.lagged[0]), follow=True)
+        first = start_of(windows, delta, track.lagged[0])
+        states, after = roll_out(problem, plants, track, first, follow=True)
         x, x_after = jax.vmap(_flat)(states), jax.vmap(_flat)(after)
         # Middle of the step from its ends and its first slope (third order in dt); the slope of a stiff
         # vehicle says nothing of the middle.
-        rate = jax.vmap(lambda s, d, i: _flat(_pick(plants, i).rates(s, d)))(
+        rate = jax.vmap(lambda s, d, i: _flat(of_segment(plants, i).rates(s, d)))(
             states, track.over, track.segment
         )
         bend = jnp.where(jnp.asarray(problem.split) == 1, 0.25, 0.0)
         middle = 0.5 * (x + x_after) + bend * (x - x_after + track.dt[:, None] * rate)
         d_lagged = (
-            d_slow[..., None] * _pick(chain_slopes, track.segment[0]).lag[None]
+            d_slow[..., None] * of_segment(chain_slopes, track.segment[0]).lag[None]
             if d_slow.shape[-1]
             else d_slow
         )

@@ -22,7 +22,7 @@ from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Problem, _drives, _memory, _pick, _slides, start_precision
+from ._rollout import Problem, fluid_memory, of_segment, slides_of, start_precision, thrust_of
 from ._trajectory import segments
 from ._windows import cut
 
@@ -59,19 +59,19 @@ class OneStep(eqx.Module):
         theta = self.start + self.map @ z
         plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
         records, samples = self.problem.records, self.samples
-        push = _drives(self.problem, plants.drive)
+        push = thrust_of(self.problem, plants.drive)
         before = jnp.concatenate([push.mean[:, :1], push.mean[:, :-1]], axis=1)
         thrust = push.instant if samples.instant else 0.5 * (before + push.mean)
-        lagged, _ = _memory(self.problem, plants)
+        lagged, _ = fluid_memory(self.problem, plants)
         states = State(samples.position, samples.attitude, samples.velocity, lagged)
         commands = records.commands[..., : thrust.shape[-1]]
-        slide = _slides(self.problem, plants)
+        slide = slides_of(self.problem, plants)
         earlier = jnp.concatenate([records.wrench[:, :1], records.wrench[:, :-1]], axis=1)
         wrench = records.wrench if samples.instant else 0.5 * (earlier + records.wrench)
         drive = Input(thrust, commands, wrench, records.t, slide=slide)
 
         def one(state, acceleration, drive, segment):
-            return of(_pick(plants, segment), state, acceleration, drive)
+            return of(of_segment(plants, segment), state, acceleration, drive)
 
         return jax.vmap(jax.vmap(one))(states, samples.acceleration, drive, records.segment)
 

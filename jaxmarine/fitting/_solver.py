@@ -16,8 +16,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._compiled import compiled
-from ._damping import Trust, pick
-from ._linearise import Affine, Problem, Statistics, linearise
+from ._linearise import Affine, Statistics, linearise
+from ._rollout import Problem
+from ._trust import Trust, pick
 
 # Damping of the initial states, as a share of that of the parameters.
 STATES = 1e-4

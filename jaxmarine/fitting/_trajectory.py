@@ -14,7 +14,8 @@ from ..simulation import gates, substeps
 from ..vehicle import Vehicle
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Affine, Problem, start_precision
+from ._linearise import Affine
+from ._rollout import Problem, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 

@@ -10,12 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._errors import InputError
-from .._types import ATTITUDE, CHANNELS
 from ..logs import Log, smooth_states
 from ..physics import from_euler
 from ..vehicle import Vehicle
-
-ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
 
 
 class Records(eqx.Module):

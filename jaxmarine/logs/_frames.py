@@ -1,15 +1,16 @@
 """From the axes of a foreign file to north-east-down and forward-right-down, by rotations."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from .._angles import wrap_to_pi
 from .._errors import InputError
 from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, POSITION, RATE, VELOCITY, WRENCH
 from ._columns import GEODETIC, QUATERNION, Frame
+from ._euler import angles_of, turns_of
 from ._sources import Series
 
 # What turns vectors of the foreign axes into ours; each is its own inverse.
@@ -80,7 +81,7 @@ def _attitude_of_quaternions(series: dict[str, Series], path: object) -> None:
             f"{path}: its quaternions have lengths up to {np.max(length):.3g} instead of 1; check what the "
             "map names for `qw`, `qx`, `qy` and `qz`, or for `attitude`."
         )
-    angles = _euler(Rotation.from_quat(parts[whole], scalar_first=True))
+    angles = angles_of(Rotation.from_quat(parts[whole], scalar_first=True))
     series |= {name: Series(t[whole], values) for name, values in zip(ATTITUDE, angles.T, strict=True)}
 
 
@@ -95,7 +96,7 @@ def _turned(
         if name in series:
             t, turns = _rotation(series, series[name].t)
             turned = Rotation.from_matrix(world @ turns.as_matrix() @ body)
-            ours[name] = Series(t, _euler(turned)[:, index])
+            ours[name] = Series(t, angles_of(turned)[:, index])
     return ours
 
 
@@ -134,15 +135,7 @@ def _rotation(
             inside = (before >= 0) & (after < len(times))
             apart = times[np.where(inside, after, 0)] - times[np.where(inside, before, 0)]
             known &= inside & (apart <= _CLOSE * np.median(np.diff(times, append=np.inf)))
-    return t[known], Rotation.from_euler("ZYX", angles[known][:, ::-1])
-
-
-def _euler(turns: Rotation) -> Float[np.ndarray, "times 3"]:
-    """phi theta psi [rad]."""
-    with warnings.catch_warnings():
-        # at a pitch of 90 degrees roll is set to zero, which is as good as any
-        warnings.filterwarnings("ignore", message="Gimbal lock", category=UserWarning)
-        return turns.as_euler("ZYX")[:, ::-1]
+    return t[known], turns_of(angles[known])
 
 
 def _about_the_first_fix(series: dict[str, Series], path: object) -> None:
@@ -170,7 +163,7 @@ def _about_the_first_fix(series: dict[str, Series], path: object) -> None:
     sine = np.sin(np.radians(degrees[0, 0]))
     bend = 1 - _ECCENTRICITY * sine**2
     north = _RADIUS * (1 - _ECCENTRICITY) / bend**1.5 * away[:, 0]
-    east = _RADIUS / np.sqrt(bend) * np.sqrt(1 - sine**2) * np.angle(np.exp(1j * away[:, 1]))
+    east = _RADIUS / np.sqrt(bend) * np.sqrt(1 - sine**2) * wrap_to_pi(away[:, 1])
     series |= {"x": Series(t, north), "y": Series(t, east)}
 
 

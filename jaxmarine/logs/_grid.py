@@ -11,6 +11,7 @@ import numpy as np
 import scipy.ndimage
 from jaxtyping import Float
 
+from .._angles import wrap_to_pi
 from .._errors import InputError
 from .._files import listed
 from .._types import ATTITUDE
@@ -217,7 +218,7 @@ def _slopes(one: Series, is_angle: bool) -> np.ndarray:
 
 def _unwrapped(angles: np.ndarray, near: np.ndarray) -> np.ndarray:
     """The same angles within half a turn of others [rad]."""
-    return near + np.angle(np.exp(1j * (angles - near)))
+    return near + wrap_to_pi(angles - near)
 
 
 def _extreme(row: np.ndarray, off: np.ndarray, rows: int, which: np.ufunc) -> np.ndarray:

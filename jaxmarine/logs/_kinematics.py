@@ -12,8 +12,9 @@ from jaxtyping import Float
 from .._errors import InputError
 from .._types import ATTITUDE, CHANNELS
 from ._craft import free_poses
+from ._euler import turns_of
 from ._log import Log
-from ._states import body_rates, rotations
+from ._states import body_rates
 
 # Strengths of the white noise that are tried, in units of noise² / dt^5, three a decade: the band that the
 # smoother passes goes with the sixth root of the strength, so a step widens it by an eighth.
@@ -64,7 +65,7 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
     value[:, places], slope[:, places], bend[:, places] = smooth(log.t, samples, noise[places])
 
     attitude = value[:, 3:]
-    turn = rotations(attitude)
+    turn = turns_of(attitude).as_matrix()
     rates = body_rates(attitude, slope[:, 3:])
     velocity = np.einsum("tji,tj->ti", turn, slope[:, :3])
     # d/dt (R' p') = R' p'' - w x R' p'; the rates are linear in the slopes of the angles.

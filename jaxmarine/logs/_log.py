@@ -13,7 +13,8 @@ class Log(eqx.Module):
 
     - `t`: time [s], strictly increasing.
     - `channels`: measurements in the order of `CHANNELS`, SI units and radians; NaN where missing.
-    - `commands`: one column per thruster, in the order of `thrusters`; held until the next sample.
+    - `commands`: one column per thruster and, behind them, the sliding mass, in the order of
+      `command_names`; held until the next sample.
     - `wrench`: applied control wrench X Y Z K M N at `o`, body axes [N, N m]; held likewise.
     - `name`: the file's name; `notes`: what was done or ignored on reading, sentence by sentence.
 
@@ -22,9 +23,9 @@ class Log(eqx.Module):
 
     t: Float[np.ndarray, " times"]
     channels: Float[np.ndarray, "times 18"]
-    commands: Float[np.ndarray, "times thrusters"] | None
+    commands: Float[np.ndarray, "times columns"] | None
     wrench: Float[np.ndarray, "times 6"] | None
-    thrusters: tuple[str, ...] = eqx.field(static=True)
+    command_names: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
 
@@ -36,9 +37,10 @@ class Log(eqx.Module):
             )
         if (self.commands is None) == (self.wrench is None):
             raise ValueError("Exactly one of `commands` and `wrench` must be given.")
-        if self.commands is not None and self.commands.shape != (times, len(self.thrusters)):
+        if self.commands is not None and self.commands.shape != (times, len(self.command_names)):
+            columns = len(self.command_names)
             raise ValueError(
-                f"Argument `commands` must be ({times}, {len(self.thrusters)}), but is {self.commands.shape}."
+                f"Argument `commands` must be ({times}, {columns}), but is {self.commands.shape}."
             )
         if self.wrench is not None and self.wrench.shape != (times, 6):
             raise ValueError(f"Argument `wrench` must be ({times}, 6), but is {self.wrench.shape}.")
@@ -78,7 +80,7 @@ class Log(eqx.Module):
             channels=self.channels[inside],
             commands=None if self.commands is None else self.commands[inside],
             wrench=None if self.wrench is None else self.wrench[inside],
-            thrusters=self.thrusters,
+            command_names=self.command_names,
             name=self.name,
             notes=self.notes,
         )

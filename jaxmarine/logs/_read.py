@@ -55,7 +55,7 @@ def read_log(
         channels=channels,
         commands=commands,
         wrench=wrench,
-        thrusters=tuple(vehicle.command_names),
+        command_names=tuple(vehicle.command_names),
         name="DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name,
         notes=tuple(file.notes),
     )
@@ -66,7 +66,7 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     data = {"t": log.t}
     data |= {name: log.channels[:, CHANNELS.index(name)] for name in log.measured}
     if log.commands is not None:
-        data |= dict(zip(log.thrusters, log.commands.T, strict=True))
+        data |= dict(zip(log.command_names, log.commands.T, strict=True))
     if log.wrench is not None:
         data |= dict(zip(WRENCH, log.wrench.T, strict=True))
     write_table(pd.DataFrame(data), path)

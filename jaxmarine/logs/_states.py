@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from .._types import ATTITUDE, CHANNELS, DOFS
+from ._euler import angles_of, turns_of
 from ._log import Log
 
 # Half the width of the smoothing window: long enough to tame differentiated positions, short
@@ -59,7 +60,7 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
     attitude = _attitude(log.t, value[:, 3:6], value[:, 9:12], known_pose[3:])
     slope[:, 3:6] = np.where(known_pose[3:], slope[:, 3:6], np.gradient(attitude, log.t, axis=0))
     rates = np.where(known_nu[3:], value[:, 9:12], body_rates(attitude, slope[:, 3:6]))
-    turn = rotations(attitude)
+    turn = turns_of(attitude).as_matrix()
     velocity = _body_velocity(turn, value[:, 6:9], slope[:, :3], known_nu[:3], known_pose[:3])
     travelled = _integral(log.t, np.einsum("tij,tj->ti", turn, velocity))
     position = np.where(known_pose[:3], value[:, :3], travelled * pose_free[:3])
@@ -69,17 +70,6 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
         attitude=attitude,
         nu=np.concatenate([velocity, rates], axis=1) * free,
     )
-
-
-def rotations(attitude: Float[np.ndarray, "times 3"]) -> Float[np.ndarray, "times 3 3"]:
-    """Rotation matrices from body to NED axes of phi theta psi [rad], ZYX."""
-    (cf, ct, cp), (sf, st, sp) = np.cos(attitude).T, np.sin(attitude).T
-    rows = [
-        [cp * ct, cp * st * sf - sp * cf, cp * st * cf + sp * sf],
-        [sp * ct, sp * st * sf + cp * cf, sp * st * cf - cp * sf],
-        [-st, ct * sf, ct * cf],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def reachable(free: np.ndarray) -> np.ndarray:
@@ -124,20 +114,12 @@ def _attitude(t: np.ndarray, measured: np.ndarray, rates: np.ndarray, known: np.
     attitude = measured.copy()
     # Rotations are composed, as summed Euler rates would blow up at a pitch of 90 degrees.
     turning = np.diff(t)[:, None] * (rates[1:] + rates[:-1]) / 2
-    steps = Rotation.from_rotvec(turning).as_matrix()
-    turn = rotations(attitude[:1])[0]
-    for k, step in enumerate(steps, start=1):
-        turn = turn @ step
-        turned = np.array(
-            [
-                np.arctan2(turn[2, 1], turn[2, 2]),
-                -np.arcsin(np.clip(turn[2, 0], -1.0, 1.0)),
-                np.arctan2(turn[1, 0], turn[0, 0]),
-            ]
-        )
-        attitude[k] = np.where(known, measured[k], turned)
+    turn = turns_of(attitude[0])
+    for k, step in enumerate(Rotation.from_rotvec(turning), start=1):
+        turn = turn * step
+        attitude[k] = np.where(known, measured[k], angles_of(turn))
         if known.any():
-            turn = rotations(attitude[k : k + 1])[0]
+            turn = turns_of(attitude[k])
     return np.unwrap(attitude, axis=0)
 
 

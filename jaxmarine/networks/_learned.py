@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .._errors import InputError
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, Scalar, Wrench
 from ..effects import Craft, Motion, WrenchEffect
 from ..physics import to_euler_matrix
@@ -42,7 +41,7 @@ def signals(motion: Motion, names: tuple[str, ...], thrusters: tuple[str, ...]) 
         elif name in thrusters:
             out.append(motion.command[thrusters.index(name)])
         else:
-            raise InputError(f"`{name}` is no signal that a learned term can depend on.")
+            raise ValueError(f"`{name}` is neither a signal nor a thruster.")
     return jnp.stack(out)
 
 

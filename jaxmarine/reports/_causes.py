@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from .._types import DOFS
-from ..diagnosis._result import Finding
+from ..diagnosis import Finding
 from ..vehicle import Vehicle
 from ._curves import CHANNEL_TITLES
 from ._numbers import joined, number, percent, plus_minus, sentence, unit_on

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .._angles import ANGLES, wrap_to_pi
 from .._types import (
     ATTITUDE,
     CHANNEL_UNITS,
@@ -19,7 +20,7 @@ from .._types import (
     VELOCITY,
     WRENCH,
 )
-from ..diagnosis._result import Diagnosis, MissingWrench, Predictions, Weighed
+from ..diagnosis import Diagnosis, MissingWrench, Predictions, Weighed
 
 GROUP_TITLES = {
     "position": "Position",
@@ -56,7 +57,6 @@ CHANNEL_TITLES: dict[str, str] = dict(
     )
 )
 _UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
-_ANGLES = tuple(CHANNELS.index(name) for name in ATTITUDE)
 _DEGREES = 180.0 / np.pi
 _STEPS = 200  # that are drawn of one prediction
 _STARTS = 3  # of predictions that are drawn
@@ -89,9 +89,7 @@ def thinned(count: int, limit: int) -> Int[np.ndarray, " kept"]:
 def difference(predicted: np.ndarray, measured: np.ndarray) -> Float[np.ndarray, "..."]:
     """Predicted minus measured channels; angles the short way round."""
     out = finite(predicted) - finite(measured)
-    angles = out[..., _ANGLES]
-    out[..., _ANGLES] = (angles + np.pi) % (2 * np.pi) - np.pi
-    return out
+    return np.where(ANGLES, wrap_to_pi(out), out)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,7 +207,7 @@ def course(predictions: Predictions, start: int) -> Course:
     before = finite(predictions.before[start])
     # Curves are made continuous from the prediction on, which has no gaps, and hung onto it.
     smooth = before.copy()
-    for column in _ANGLES:
+    for column in np.flatnonzero(ANGLES):
         if np.isfinite(before[:, column]).all():
             smooth[:, column] = np.unwrap(before[:, column])
     measured = smooth - difference(before, predictions.measured[start])

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from .._types import CHANNELS
-from ..diagnosis._result import Diagnosis, MissingWrench
+from ..diagnosis import Diagnosis, MissingWrench
 from ._curves import (
     CHANNEL_TITLES,
     Axis,

@@ -11,7 +11,7 @@ import markupsafe
 from plotly.offline import get_plotlyjs
 
 from .._types import DOFS
-from ..diagnosis._result import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
+from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from ..fitting import AxisCheck, sparkline
 from ..fitting import percent as relative
 from . import _words as words

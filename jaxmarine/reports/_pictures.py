@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._types import CHANNELS
-from ..diagnosis._result import Diagnosis, Weighed
+from ..diagnosis import Diagnosis, Weighed
 from ._causes import title
 from ._curves import (
     CHANNEL_TITLES,

@@ -6,7 +6,7 @@ All texts are plain; what stands between backticks is a name from a file. The pa
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from ..diagnosis._result import Diagnosis, Finding
+from ..diagnosis import Diagnosis, Finding
 from ..effects import CATALOGUE, AbstractEffect
 from ..vehicle import Placed
 from ._causes import signal, title, what

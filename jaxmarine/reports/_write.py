@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .._errors import InputError
 from .._files import written_whole
-from ..diagnosis._result import Diagnosis
+from ..diagnosis import Diagnosis
 from ._page import page
 from ._pictures import pictures
 

@@ -1,0 +1,217 @@
+"""Windows rolled out: from parameters and initial states to what the sensors show.
+
+Each segment of the logs has a plant of its own, each hold of a log its thrust, and each window the state
+that it begins in. A prediction simulates the fluid memory with the rest of the state; a linearisation
+follows the memory that the logged motion drives.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .._angles import ANGLES, wrap_to_pi
+from .._compiled import compiled
+from ..physics import Drive, Slide, Thrust, thrust
+from ..simulation import hold
+from ..vehicle import Input, Plant, State
+from ._windows import Records, Windows
+
+# Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
+# keeps the elimination regular where a component was not measured; the tight one holds locked axes.
+LOOSE, TIGHT = 1e3, 1e-6
+
+# Sensors that show less of a velocity than this share of it do not tell what it was.
+LEAST_SHOWN = 1e-3
+
+PlantOf = Callable[[Float[Array, " parameters"], Array], Plant]
+
+
+class Problem(eqx.Module):
+    """Residuals of windows as a function of parameters.
+
+    - `plant_of(theta, segment)`: the plant of a segment from its parameter vector.
+    - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
+    - `accelerations`: whether any are measured.
+    - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
+    """
+
+    plant_of: PlantOf
+    records: Records
+    windows: Windows
+    start_precision: Float[Array, "12"]
+    accelerations: bool = eqx.field(static=True)
+    split: int | Int[Array, ""] = 1
+
+
+def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
+    """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes."""
+    surge, sway, heave, roll, pitch, yaw = free
+    level = max(surge, sway)
+    moves = [level, level, max(heave, level * max(roll, pitch)), roll, pitch, yaw, *free]
+    return np.where(np.array(moves) > 0, LOOSE, TIGHT) ** -2.0
+
+
+def wrapped(error: Float[Array | np.ndarray, "*steps 18"]) -> Array:
+    """Differences of channels, those of angles the short way round."""
+    return jnp.where(ANGLES, wrap_to_pi(jnp.asarray(error)), error)
+
+
+def of_segment(tree, index):
+    """One segment's part of what is stacked along segments.
+
+    With a single segment the index is not looked at: under `vmap` a gather would give every step a
+    copy of its own, and products with shared matrices would become batched ones.
+    """
+    if jax.tree.leaves(tree)[0].shape[0] == 1:
+        return jax.tree.map(lambda a: a[0], tree)
+    return jax.tree.map(lambda a: a[index], tree)
+
+
+def thrust_of(problem: Problem, drives: Drive) -> Thrust:
+    """Thrust over each hold and at each sample of all logs, for the drive constants of each segment."""
+    records = problem.records
+
+    def one(t, commands, segment):
+        here = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), of_segment(drives, segment))
+        return thrust(here, t, commands)
+
+    thrusters = drives.max_thrust.shape[-1]
+    return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+
+
+def slides_of(problem: Problem, plants: Plant) -> Slide | None:
+    """The motion of the sliding mass over each hold of all logs; its servo is the same in all segments."""
+    plant = jax.tree.map(lambda a: a[0], plants)
+    if plant.slider is None:
+        return None
+    return jax.vmap(plant.slides)(problem.records.t, problem.records.commands)
+
+
+def _inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """By cofactors, which unlike a factorisation is done for all samples at once; finite for any matrix."""
+    cofactors = jnp.cross(jnp.roll(a, -1, 1), jnp.roll(a, -2, 1), axis=0)
+    determinant = (a[:, 0] * cofactors[:, 0]).sum()
+    return cofactors.T * determinant / (determinant**2 + LEAST_SHOWN**6)
+
+
+def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Array, "6"]) -> Float[Array, "6"]:
+    """The velocity that the sensors show as the logged one: they are affine, and rates show no speeds."""
+
+    def shown(nu):
+        state = State(jnp.zeros(3), attitude, nu, jnp.zeros(0))
+        return plant.readings(state, jnp.zeros(6))[6:12]
+
+    slope = jax.jacfwd(shown)(jnp.zeros(6))
+    rest = logged - shown(jnp.zeros(6))
+    rates = _inverse(slope[3:, 3:]) @ rest[3:]
+    return jnp.concatenate([_inverse(slope[:3, :3]) @ (rest[:3] - slope[:3, 3:] @ rates), rates])
+
+
+def fluid_memory(problem: Problem, plants: Plant):
+    """Fluid memory of the logged motion and its slope per lag, each [logs, steps, 6], or 0 columns.
+
+    The smoothed log drives it, without the errors that the plants' sensors have put into its velocity.
+    """
+    records = problem.records
+    if not plants.has_memory:
+        nothing = jnp.zeros((*records.t.shape, 0))
+        return nothing, nothing
+    lags = jax.vmap(lambda plant: plant.memory_lag())(plants)
+
+    def through_water(attitude, logged, segment):
+        plant = of_segment(plants, segment)
+        return plant.relative(attitude, _true_velocity(plant, attitude, logged))
+
+    # Taken as measured: what a change of the current does to the past of a window is left out.
+    relative = jax.lax.stop_gradient(
+        jax.vmap(jax.vmap(through_water))(records.attitude, records.velocity, records.segment)
+    )
+
+    def filtered(lags):
+        def one(dt, velocity, segment):
+            decay = jnp.exp(-dt[:, None] / lags[segment])
+            between = 0.5 * (velocity + jnp.concatenate([velocity[1:], velocity[-1:]]))
+
+            def step(z, now):
+                decay, velocity = now
+                return velocity + (z - velocity) * decay, z
+
+            return jax.lax.scan(step, velocity[0], (decay, between))[1]
+
+        return jax.vmap(one)(records.dt, relative, records.segment)
+
+    return jax.jvp(filtered, (lags,), (jnp.ones_like(lags),))
+
+
+class Track(eqx.Module):
+    """What drives one window, step by step: inputs, fluid memory, segment and length of the hold."""
+
+    over: Input  # over the hold
+    instant: Input  # at the sample
+    lagged: Array
+    segment: Array
+    dt: Array
+
+
+def tracks_of(problem: Problem, plants: Plant, push: Thrust, lagged) -> Track:
+    """The tracks of all windows, stacked."""
+    records, log, step = problem.records, problem.windows.log[:, None], problem.windows.step
+    t, dt = records.t[log, step], records.dt[log, step]
+    commands = records.commands[log, step, : push.mean.shape[-1]]
+    common = (commands, records.wrench[log, step], t)
+    slide = jax.tree.map(lambda a: a[log, step], slides_of(problem, plants))
+    return Track(
+        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),
+        instant=Input(push.instant[log, step], *common, slide=slide),
+        lagged=lagged[log, step],
+        segment=records.segment[log, step],
+        dt=dt,
+    )
+
+
+def start_of(windows: Windows, delta: Float[Array, "12"], memory) -> State:
+    """The first state of one window, moved by `delta`."""
+    return State(windows.position, windows.attitude, windows.velocity, memory).moved(delta)
+
+
+def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow: bool):
+    """States at all steps of one window, the first included, and at the ends of all holds.
+
+    - `follow`: the fluid memory at the start of each hold is that of the track (filtered from measured
+      velocity) instead of the simulated one.
+    """
+
+    def step(state, now):
+        if follow:
+            state = eqx.tree_at(lambda s: s.memory, state, now.lagged)
+        after = hold(of_segment(plants, now.segment), state, now.over, now.dt, problem.split)
+        return after, (state, after)
+
+    return jax.lax.scan(step, start, track)[1]
+
+
+@compiled
+def predict(problem: Problem, theta, delta):
+    """Predicted channels of every window [windows, steps, 18] and the residuals, weighted.
+
+    - `theta` [segments, parameters]; `delta` [windows, 12]: changes of the initial states (`State.moved`).
+    """
+    plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
+    lagged = fluid_memory(problem, plants)[0]
+    tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
+
+    def one(windows, track, delta):
+        states, _ = roll_out(problem, plants, track, start_of(windows, delta, track.lagged[0]), follow=False)
+
+        def show(state, drive, segment):
+            plant = of_segment(plants, segment)
+            return plant.readings(state, plant.acceleration(state, drive))
+
+        return jax.vmap(show)(states, track.instant, track.segment)
+
+    channels = jax.vmap(one)(problem.windows, tracks, delta)
+    return channels, wrapped(channels - problem.windows.measured) * problem.windows.weight
