@@ -371,6 +371,8 @@ def main() -> None:
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("Stopped; nothing was written.", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as end:
+        # what Typer makes of an interrupt, without a word
+        if end.code == 130:
+            print("Stopped; nothing was written.", file=sys.stderr)
+        raise
