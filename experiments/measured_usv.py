@@ -1,6 +1,6 @@
 """A boat's measured runs: from published coefficients to a fitted model and to what is wrong with a log.
 
-usage: python -m experiments.measured_usv --data ../shared/data/vtec-s3-usv --out DIR [--quick]
+usage: python -m experiments.measured_usv --data DIR --out DIR [--quick]
 
 Fits the VTec S-III of `usv/` to the runs of `train/`, chooses among candidates by leaving runs out,
 measures open-loop errors on `test/` once, and diagnoses each run of `defects/` and `test/` by itself.

@@ -52,7 +52,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
             "with too many digits); check that it is the right file."
         ) from error
     except OSError as error:
-        raise InputError(f"{path}: cannot be read, because {_reason(error)}.") from error
+        raise InputError(f"{path}: cannot be read, because {_reason(error)}; check its rights.") from error
 
 
 @contextlib.contextmanager

@@ -120,10 +120,15 @@ def _file(out: Path) -> None:
         raise InputError(f"{out}: is no file that can be written; choose another --out.")
 
 
+def _say(text: str) -> None:
+    """A line of results as it is: file names are no markup, and a pipe has no width to wrap at."""
+    _out.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 def _note(*logs) -> None:
     """Says what reading the logs has changed or left out."""
     for note in dict.fromkeys(note for log in logs for note in log.notes):
-        _out.print(note, markup=False, highlight=False, soft_wrap=True)
+        _say(note)
 
 
 def _columns(path: Path | None):
@@ -147,26 +152,21 @@ def _write(result, out: Path) -> None:
             for name, p in finding.parameters.items()
         )
         since = "" if finding.since is None else f" since t = {finding.since:g} s of {finding.since_log}"
-        _out.print(f"  {finding.label}{since}" + (f": {values}" if values else ""), markup=False)
+        _say(f"  {finding.label}{since}" + (f": {values}" if values else ""))
     if result.depends_on:
-        _out.print(f"  what is left depends on {', '.join(result.depends_on)}", markup=False)
+        _say(f"  what is left depends on {', '.join(result.depends_on)}")
     for group in result.groups:
         causes = " ".join(f'--cause "{words}"' for words in result.causes_of(group))
-        _out.print(
+        _say(
             f"These logs cannot tell {' from '.join(group)}; for a manoeuvre that would, run\n"
-            f"  jaxmarine plan --vehicle VEHICLE {causes}",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
+            f"  jaxmarine plan --vehicle VEHICLE {causes}"
         )
     low, high = result.gain.ratio_ci95
-    _out.print(
+    _say(
         f"5 s prediction error on {result.test}: {result.gain.ratio:.3f} of what it was "
-        f"(95 %: {low:.3f} to {high:.3f}){'' if result.gain.held_out else ', not held out'}",
-        markup=False,
-        highlight=False,
+        f"(95 %: {low:.3f} to {high:.3f}){'' if result.gain.held_out else ', not held out'}"
     )
-    _out.print(f"Report: {page}", markup=False, highlight=False, soft_wrap=True)
+    _say(f"Report: {page}")
 
 
 @app.command(epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`")
@@ -205,7 +205,7 @@ def simulate(
             f"{vehicle}: the simulation runs away on {log}; check the signs of damping and added mass."
         )
     write_log(dataclasses.replace(recorded, channels=channels), out)
-    _out.print(f"Simulated log: {out}", markup=False, highlight=False, soft_wrap=True)
+    _say(f"Simulated log: {out}")
 
 
 # What `jaxmarine fit --free` can name.
@@ -259,12 +259,10 @@ def fit(
             throw=False,
         )
     if not result.converged:
-        raise InputError(
-            f"{train[0]}: the fit found no minimum ({result.result}); give --prior 0.3 or a richer log."
-        )
+        raise InputError(f"{train[0]}: the fit found no minimum; give --prior 0.3, or log livelier motion.")
     save_vehicle(result.vehicle, out)
-    _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
-    _out.print(f"Fitted vehicle: {out}", markup=False, highlight=False, soft_wrap=True)
+    _say(str(result))
+    _say(f"Fitted vehicle: {out}")
 
 
 @app.command(epilog="Example: `jaxmarine check --vehicle rov.toml dive.csv`")
@@ -290,7 +288,7 @@ def check(
     _note(*recorded)
     with _progress("checking"):
         result = run(craft, recorded)
-    _out.print(str(result), markup=False, highlight=False, soft_wrap=True)
+    _say(str(result))
 
 
 @app.command(
@@ -334,14 +332,11 @@ def plan(
         result = run(craft, causes, duration, box, progress=tell)
     write_log(result.log, out)
     random = ", ".join(f"{evidence:.1f}" for evidence in sorted(result.random_evidence))
-    _out.print(
+    _say(
         f"A log of this manoeuvre would tell the causes apart by {result.evidence:.1f} nats"
-        + (f"; logs of random ones in the same box by {random}." if random else "."),
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
+        + (f"; logs of random ones in the same box by {random}." if random else ".")
     )
-    _out.print(f"Commands: {out}", markup=False, highlight=False, soft_wrap=True)
+    _say(f"Commands: {out}")
 
 
 @app.command(epilog="Example: `jaxmarine demo --out demo-report`")
@@ -355,16 +350,17 @@ def demo(
     from .logs import write_log
     from .vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
 
+    _folder(out, make=False)
     craft = load_vehicle(packaged_vehicle("tethra"))
     with _progress("simulating Tethra") as tell:
         train, test = hidden(craft, "thruster_gain", "port_h", {"factor": 0.72})
-        _folder(out)
-        save_vehicle(craft, out / "vehicle.toml")
-        write_log(train, out / "train.csv")
-        write_log(test, out / "test.csv")
         tell(f"diagnosing; {_FIRST_TIME}")
         result = run(craft, train, test, progress=tell)
-    _out.print("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
+    _folder(out)
+    save_vehicle(craft, out / "vehicle.toml")
+    write_log(train, out / "train.csv")
+    write_log(test, out / "test.csv")
+    _say("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
     _write(result, out)
 
 
@@ -375,6 +371,8 @@ def main() -> None:
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("Stopped; nothing was written.", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as end:
+        # what Typer makes of an interrupt, without a word
+        if end.code == 130:
+            print("Stopped; nothing was written.", file=sys.stderr)
+        raise

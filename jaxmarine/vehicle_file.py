@@ -24,6 +24,8 @@ from ._types import CHANNELS, DOFS, WRENCH
 _UNIT_LENGTH = 1e-9
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
+# ... and their diagonals to two digits at least.
+_ROUNDING = 0.02
 # Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
 # numbers stay finite.
 _ABSURD = 1e18
@@ -125,7 +127,8 @@ class Body(_Table):
         default=None, ge=0, description="a number not below zero [N]; left out, the weight"
     )
     mass_matrix: Rows6 | None = Field(
-        default=None, description="6 rows of 6 numbers, used as M_RB instead of mass and inertia"
+        default=None,
+        description="6 rows of 6 numbers, used as M_RB instead of what mass, inertia and cog give",
     )
 
     @pydantic.field_validator("inertia")
@@ -336,6 +339,21 @@ class VehicleFile(_Table):
         return self
 
     @pydantic.model_validator(mode="after")
+    def _weighs_the_same_twice(self) -> "VehicleFile":
+        # An edit of the mass alone would otherwise change the weight and nothing else.
+        if self.body.mass_matrix is None:
+            return self
+        mass = self.body.mass
+        for i, dof in enumerate(DOFS[:3]):
+            entry = self.body.mass_matrix[i][i]
+            if dof in self.dof and abs(entry - mass) > _ROUNDING * mass:
+                raise ValueError(
+                    f"`body.mass_matrix` has {entry:g} kg in {dof}, but `body.mass` is {mass:g} kg; correct "
+                    "one of them, or leave the matrix out."
+                )
+        return self
+
+    @pydantic.model_validator(mode="after")
     def _accelerates(self) -> "VehicleFile":
         free = np.isin(DOFS, self.dof)
         if self.body.inertia is not None:
@@ -385,12 +403,10 @@ class VehicleFile(_Table):
 
     @property
     def rigid_body_matrix(self) -> Float[np.ndarray, "6 6"]:
-        """M_RB about `o` [kg, kg m, kg m²]: [[m I, -m S(cog)], [m S(cog), inertia]]."""
+        """M_RB about `o` [kg, kg m, kg m²]."""
         if self.body.mass_matrix is not None:
             return np.array(self.body.mass_matrix)
-        mass, (x, y, z) = self.body.mass, self.body.cog
-        moment = mass * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return np.block([[mass * np.eye(3), -moment], [moment, np.array(self.body.inertia)]])
+        return rigid_body(self.body.mass, np.array(self.body.inertia), self.body.cog)
 
     @property
     def added_mass_matrix(self) -> Float[np.ndarray, "6 6"]:
@@ -406,6 +422,15 @@ class VehicleFile(_Table):
     def quadratic(self) -> Float[np.ndarray, "6 6"]:
         """D_q, the force on row i per |nu_j| nu_j."""
         return np.array(self.damping.quadratic)
+
+
+def rigid_body(
+    mass: float, inertia: Float[np.ndarray, "3 3"], cog: Iterable[float]
+) -> Float[np.ndarray, "6 6"]:
+    """M_RB about `o` of a mass [kg] and an inertia [kg m²]: [[m I, -m S(cog)], [m S(cog), inertia]]."""
+    x, y, z = cog
+    moment = mass * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.block([[mass * np.eye(3), -moment], [moment, inertia]])
 
 
 CheckEffect = Callable[[EffectEntry, VehicleFile], None]

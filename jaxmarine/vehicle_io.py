@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._errors import InputError
-from ._files import did_you_mean, existing_file, written_whole
+from ._files import did_you_mean, existing_file, validated, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
-from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, write_vehicle_file
+from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, rigid_body, write_vehicle_file
 from .vehicle_file import Slider as SliderTable
 
 _LEARNED = {cls.name: cls for cls in LEARNED}
@@ -31,7 +31,9 @@ def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -
             return suspect
     targets = ", ".join(str(suspect.target) for suspect in suspects)
     if not suspects:
-        raise ValueError(f"is `{effect}`, which this vehicle's free axes and thrusters do not allow.")
+        raise ValueError(
+            f"is `{effect}`, which this vehicle's free axes and thrusters do not allow; leave it out."
+        )
     raise ValueError(f"has the target `{target}`, but `{effect}` takes one of: {targets}.")
 
 
@@ -160,7 +162,10 @@ def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedT
             arrays = {name: np.asarray(stored[name], float) for name in stored.files}
         return _LEARNED[entry.effect].restored(arrays, file, entry.target, entry.inputs)
     except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
-        raise InputError(f"{beside}: is no file of arrays of a learned term ({error}).") from error
+        raise InputError(
+            f"{beside}: is no file of arrays of a learned term ({error}); copy it once more from where the "
+            "vehicle file was written."
+        ) from error
 
 
 def _parameters(placed: Placed, vehicle: Vehicle) -> Mapping[str, float]:
@@ -186,20 +191,25 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
         entries.append({key: value for key, value in entry.items() if value is not None})
     thrusters = vehicle.thrusters
     body = vehicle.body
-    file = VehicleFile.model_validate(
+    matrix, cog = np.asarray(body.matrix), np.asarray(body.cog)
+    mass, inertia = float(body.mass), matrix[3:, 3:]
+    # Where mass, inertia and cog say it all, a reader who edits them is to change the vehicle.
+    told = np.array_equal(matrix, rigid_body(mass, inertia, cog))
+    file = validated(
+        VehicleFile,
         {
             "schema": 1,
             "name": vehicle.name,
             "dof": vehicle.dof,
             "environment": {"density": float(vehicle.density), "gravity": float(vehicle.gravity)},
             "body": {
-                "mass": float(body.mass),
-                "inertia": np.asarray(body.matrix)[3:, 3:],
-                "cog": np.asarray(body.cog),
+                "mass": mass,
+                "inertia": inertia,
+                "cog": cog,
                 "cob": np.asarray(body.cob),
                 "weight": float(body.weight),
                 "buoyancy": float(body.buoyancy),
-                "mass_matrix": np.asarray(body.matrix),
+                "mass_matrix": None if told else matrix,
             },
             "added_mass": {"matrix": np.asarray(vehicle.added_mass)},
             "damping": {
@@ -221,7 +231,8 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
             "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "effect": entries,
-        }
+        },
+        str(path),
     )
     write_vehicle_file(file, path)
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import jaxmarine as jm
+from jaxmarine.cli import _say
 from jaxmarine.examples import operator, recorded
 
 from .shell import exit_code
@@ -284,6 +285,22 @@ def test_fit_writes_the_vehicle_that_made_the_log(jaxmarine, folder, ship):
     np.testing.assert_allclose(fitted.thrusters.max_thrust, thrust, rtol=0.03)
     np.testing.assert_array_equal(fitted.damping.linear, ship.damping.linear)
     assert fitted.name == "cybership2"
+
+
+def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("jaxmarine.diagnosis.diagnose", stopped)
+    code, _, err = jaxmarine("demo", "--out", folder / "demo")
+    assert code == 130 and err == "Stopped; nothing was written.\n"
+    assert not (folder / "demo").exists()
+
+
+def test_a_line_of_results_stays_one_line_in_a_pipe(capsys):
+    line = "  waves: " + ", ".join(f"north = {i}.25 ± 0.01 N" for i in range(20))
+    _say(line)
+    assert capsys.readouterr().out == f"{line}\n"
 
 
 @pytest.mark.slow

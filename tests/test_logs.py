@@ -163,6 +163,18 @@ def test_a_column_map_gives_scale_times_raw_plus_offset(tmp_path_factory, scale,
     assert np.array_equal(log.channels[:, CHANNELS.index("u")], table["speed"])
 
 
+@pytest.mark.parametrize(
+    "column,unit",
+    [("t", "s"), ("x", "m"), ("psi", "rad"), ("u", "m/s"), ("r", "rad/s"), ("du", "m/s^2"), ("dr", "rad/s²")],
+)
+def test_si_units_in_a_column_map_change_nothing(tmp_path, column, unit):
+    path = saved(planar_table().assign(du=0.1, dr=-0.2), tmp_path)
+    columns = ColumnMap.model_validate({"columns": {column: {"from": column, "unit": unit}}})
+    plain, mapped = read_log(path, PLANAR), read_log(path, PLANAR, columns)
+    assert np.array_equal(mapped.t, plain.t)
+    assert np.array_equal(mapped.channels, plain.channels, equal_nan=True)
+
+
 def test_a_column_map_is_read_from_its_file_and_wins_over_own_names(tmp_path):
     table = planar_table().assign(north=7.0)
     (tmp_path / "map.toml").write_text('[columns]\nx = "north"\nu = "v"\nv = { from = "u", scale = -1 }\n')

@@ -304,6 +304,41 @@ def test_the_page_says_what_is_wrong_and_what_to_do(report):
     assert "Noise of the position was estimated from the logs." in text
 
 
+def test_the_page_says_how_many_were_refitted_and_that_noise_counts(report):
+    text = read(report).text
+    assert f"Round 1: {len(ROUND)} refitted, of which these 8 are shown" in text
+    assert f"Round 2: {len(SECOND)} refitted Suspect" in text
+    assert (
+        f"3 rounds, each of which scores every suspect and refits the most promising: {len(ROUND) + 3}"
+        in text
+    )
+    assert "over 5 s, held out; the log's own noise counts in it" in text
+
+
+def test_a_title_has_few_digits_and_the_finding_below_all_of_them():
+    fine = dataclasses.replace(PORT, parameters={"factor": Parameter(0.7194321, 0.0000062, "1")})
+    one = diagnosis(findings=(fine,))
+    assert _words.verdict(one).startswith("Thruster `port` gives 0.719 times the thrust of the file")
+    assert "gives 0.719432 ± 0.000006 times" in Reader(_page.page(one)).text
+
+
+def test_tables_that_are_wider_than_a_telephone_are_folded(report):
+    content = report.read_text("utf-8")
+    ranking = '<table class="ranking">'
+    assert content.count("<table") == content.count('<table class="folded">') + content.count(ranking)
+    for head in (
+        "Before",
+        "After",
+        "Left",
+        "Excited",
+        "Velocities seen",
+        "Inertia",
+        "Damping force",
+        "Linear",
+    ):
+        assert f'<td data-head="{head}">' in content
+
+
 def test_the_page_says_what_the_logs_can_tell(report):
     text = read(report).text
     assert "Sway is not excited: drive sideways to either side." in text
@@ -597,7 +632,7 @@ def test_numbers_keep_the_digits_that_their_error_leaves():
     assert _numbers.plus_minus(0.71044, 0.0041) == "0.710 ± 0.004"
     assert _numbers.plus_minus(-1234.5, 15.0, "N") == "−1234 ± 15 N"
     assert _numbers.plus_minus(2.0, float("nan"), "N") == "2 N"
-    assert _numbers.number(-0.00001234) == "−1.23·10^−5"
+    assert _numbers.number(-0.00001234) == "−1.23·10⁻⁵"
     assert _numbers.number(float("inf")) == "∞"
 
 

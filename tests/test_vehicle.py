@@ -26,7 +26,7 @@ from jaxmarine.effects import (
 from jaxmarine.physics import from_euler
 from jaxmarine.simulation import initial_state
 from jaxmarine.vehicle import Input, Placed, State, Vehicle, forward_dynamics, inverse_dynamics
-from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
 from tests.crafts import PACKAGED, independent, packaged, random_start
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -160,6 +160,22 @@ def test_locked_axes_take_no_part():
     )
     heavier = eqx.tree_at(lambda v: v.body.matrix, vehicle, vehicle.body.matrix.at[3, 3].multiply(7.0))
     assert np.array_equal(forward_dynamics(vehicle, state, drive), forward_dynamics(heavier, state, drive))
+
+
+def test_a_mass_matrix_is_written_where_it_says_more_than_mass_inertia_and_cog(tmp_path):
+    tethra, path = packaged("tethra"), tmp_path / "copy.toml"
+    save_vehicle(tethra, path)
+    text = path.read_text()
+    assert "mass_matrix" not in text
+    assert np.array_equal(load_vehicle(path).body.matrix, tethra.body.matrix)
+    # What is edited then takes effect.
+    path.write_text(text.replace("mass = 231.0", "mass = 462.0"))
+    heavier = load_vehicle(path).body.matrix
+    assert np.allclose(heavier[:3], 2 * tethra.body.matrix[:3], rtol=1e-15)
+
+    coupled = tethra.body.matrix.at[0, 5].set(9.0).at[5, 0].set(9.0)
+    save_vehicle(eqx.tree_at(lambda v: v.body.matrix, tethra, coupled), path)
+    assert np.array_equal(load_vehicle(path).body.matrix, coupled)
 
 
 def test_the_mass_matrix_is_that_of_the_file():

@@ -11,6 +11,7 @@ import pytest
 
 import jaxmarine as jm
 from jaxmarine.effects import place
+from jaxmarine.vehicle_file import AddedMass, Body, Damping, Environment, Sensors, Thruster
 
 from .conftest import ROOT
 
@@ -102,6 +103,33 @@ def test_the_room_list_names_what_is_there():
     assert there - {"__pycache__/"} <= named
     vehicles = {path.stem for path in (ROOT / "jaxmarine" / "vehicles").glob("*.toml")}
     assert all(name in rooms for name in vehicles)
+
+
+def test_the_vehicle_of_the_readme_drives_ahead_under_equal_commands(folder):
+    Path("boat.toml").write_text(next(text for text in blocks("toml") if text.startswith("schema")))
+    boat = jm.load_vehicle("boat.toml")
+    t = np.arange(0.0, 20.0, 0.1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), np.ones((len(t), 2)), None, boat.thruster_names, "-")
+    run = jm.simulate(boat, log, jm.initial_state(boat))
+    # In the end 80 N of thrust meet 20 u + 75 u² of drag.
+    assert float(run["u"][-1]) == pytest.approx((-20 + (20**2 + 4 * 75 * 80) ** 0.5) / 150, rel=1e-3)
+    assert abs(float(run["psi"][-1])) < 1e-9
+
+
+def test_the_table_of_the_vehicle_file_has_every_key_and_default():
+    section = README.split("**Vehicle**")[1].split("What a diagnosis has found")[0]
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines() if row[:1] == "|"]
+    keys = [(set(re.findall(r"`(\w+)`", row[0])), row[3]) for row in rows]
+    top = {"schema", "name", "dof"}
+    told = set().union(*(names for names, _ in keys))
+    tables = (Environment, Body, AddedMass, Damping, Thruster, Sensors)
+    assert told == top.union(*(table.model_fields for table in tables))
+    for field, info in Thruster.model_fields.items():
+        if not info.is_required():
+            (default,) = [given for names, given in keys if field in names]
+            assert float(default) == info.default
+    environment = [given for names, given in keys if "density" in names]
+    assert environment == [", ".join(f"{info.default:g}" for info in Environment.model_fields.values())]
 
 
 def test_pictures_and_examples_of_files_are_good():

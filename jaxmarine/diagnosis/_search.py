@@ -252,7 +252,7 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
     """The most promising suspects, each refitted beside what the model has, the best by evidence first."""
-    progress(f"{len(bench.layout.suspects)} suspects")
+    progress(f"scoring {len(bench.layout.suspects)} suspects")
     ranked, begun = shortlist(bench, model, stats)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
     late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]

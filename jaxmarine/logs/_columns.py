@@ -13,7 +13,8 @@ from .._files import did_you_mean, read_toml, validated
 from .._types import ATTITUDE, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
 
 # What one unit of a foreign file is in the contract's.
-_UNITS = {
+_SI = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2", "m/s²", "rad/s²", "N", "N m")
+_UNITS = dict.fromkeys(_SI, 1.0) | {
     "deg": np.pi / 180,
     "deg/s": np.pi / 180,
     "km": 1e3,

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 from .._types import DOFS
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 def number(value: float, digits: int = 3) -> str:
     """A number with so many significant digits, without an exponent where it reads well."""
@@ -13,7 +15,7 @@ def number(value: float, digits: int = 3) -> str:
     size = abs(value)
     if size != 0 and not 1e-4 <= size < 1e6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return _minus(f"{mantissa}·10^{int(exponent)}")
+        return f"{_minus(mantissa)}·10{str(int(exponent)).translate(_RAISED)}"
     places = 0 if size == 0 else max(0, digits - 1 - math.floor(math.log10(size)))
     text = f"{value:.{places}f}"
     return _minus(text.rstrip("0").rstrip(".") if "." in text else text)

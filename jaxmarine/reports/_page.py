@@ -133,7 +133,8 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         (
             "Prediction error left",
             percent(gain.ratio),
-            f"over {number(gain.horizon)} s, {'' if gain.held_out else 'not '}held out",
+            f"over {number(gain.horizon)} s, {'' if gain.held_out else 'not '}held out; "
+            "the log's own noise counts in it",
         ),
     ]
 
@@ -166,7 +167,7 @@ def _checked(diagnosis: Diagnosis) -> str:
 
 
 def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
-    """Per round: its number, how many suspects it had, and the first few of them."""
+    """Per round: its number, how many suspects were refitted in it, and the best few of them."""
     out = []
     for i, (suspects, taken) in enumerate(
         zip(diagnosis.rounds, taken_suspects(diagnosis), strict=True), start=1
@@ -244,13 +245,25 @@ def _pair(errors: BeforeAfter | None, unit: str) -> tuple[str, str, str]:
     return f"{number(errors.before)} {unit}", f"{number(errors.after)} {unit}", left
 
 
-def _told(axis: AxisCheck) -> tuple[str, str, str, str, str, list[str]]:
-    """Axis, whether it is excited, its slowest velocity, bars, its fastest, relative errors."""
+def _told(axis: AxisCheck) -> tuple[str, str, str, str, str, list[tuple[str, str]]]:
+    """Axis, whether it is excited, its slowest velocity, bars, its fastest, relative errors by head."""
     low, high = (number(v, 2) for v in axis.coverage.velocity_range)
     unit = "m/s" if axis.dof in DOFS[:3] else "rad/s"
-    errors = (axis.inertia, axis.damping, axis.linear, axis.quadratic)
+    errors = {
+        "Inertia": axis.inertia,
+        "Damping force": axis.damping,
+        "Linear": axis.linear,
+        "Quadratic": axis.quadratic,
+    }
     bars = sparkline(axis.coverage.velocity_shares)
-    return axis.dof, axis.excited, low, bars, f"{high} {unit}", [relative(e) for e in errors]
+    return (
+        axis.dof,
+        axis.excited,
+        low,
+        bars,
+        f"{high} {unit}",
+        [(head, relative(e)) for head, e in errors.items()],
+    )
 
 
 def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -270,7 +283,7 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ),
         (
             "Search",
-            f"{count(len(diagnosis.rounds), 'round')}, "
-            f"{count(sum(map(len, diagnosis.rounds)), 'suspect')} weighed",
+            f"{count(len(diagnosis.rounds), 'round')}, each of which scores every suspect and refits the "
+            f"most promising: {count(sum(map(len, diagnosis.rounds)), 'refit')} in all",
         ),
     ]

@@ -3,6 +3,7 @@
 All texts are plain; what stands between backticks is a name from a file. The page escapes both.
 """
 
+import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -109,12 +110,18 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         return sentence(unknown)
     if diagnosis.verdict == "explained" and len(named) == 1:
-        return what(named[0], diagnosis.vehicle)
+        return what(_without_errors(named[0]), diagnosis.vehicle)
     causes = joined([title(finding.label) for finding in named])
     if diagnosis.verdict == "explained":
         return f"{len(named)} causes explain these logs: {causes}."
     verb = "explains" if len(named) == 1 else "explain"
     return sentence(f"{causes} {verb} a part of what these logs show; {unknown}")
+
+
+def _without_errors(finding: Finding) -> Finding:
+    """For the title: numbers without standard errors have few digits; the finding below has all of them."""
+    sizes = {name: dataclasses.replace(p, std=0.0) for name, p in finding.parameters.items()}
+    return dataclasses.replace(finding, parameters=sizes)
 
 
 def explanation(diagnosis: Diagnosis) -> str:
