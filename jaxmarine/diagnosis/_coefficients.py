@@ -88,11 +88,15 @@ def _refitted(bench: Workbench, model: Model, before: float) -> Model:
 def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tuple[Model, tuple[Trial, ...]]:
     """The model with what explains more in the place of a wrong coefficient, and all that was weighed there.
 
-    During the search the coefficient could bend to what another cause does, so that none was needed.
+    During the search the coefficient could bend to what another cause does, so that none was needed. All
+    others may bend here, or what they are off by would speak for a cause that has more numbers.
     """
     which = model.members.index(member)
-    less = bench.refine(bench.without_member(model, which))
     value = model.z[bench.slices(model.members)[which]]
+    label = bench.layout.suspects[member.suspect].label
+    wrong = next(j for j, c in enumerate(bench.base) if c.label == label)
+    bent = dataclasses.replace(bench.without_member(model, which), frozen=False, held=(*model.held, wrong))
+    less = bench.refine(bent)
     same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
     own = Trial(member, same, 2 * (less.cost - same.cost))
     trials = [own]
@@ -103,4 +107,9 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
             trials.append(Trial(trial.member, exact, 2 * (less.cost - exact.cost)))
     trials.sort(key=lambda t: penalty(bench, t.member) - t.saved / phi)
     best = next(t for t in trials if t is own or bench.sound(t.model))
-    return best.model, (best, *(t for t in trials if t is not best))
+    ranked = (best, *(t for t in trials if t is not best))
+    if best is own:
+        return model, ranked
+    instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
+    instead.z[: len(bench.base)] = 0.0
+    return bench.refine(instead), ranked

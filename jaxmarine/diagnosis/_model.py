@@ -97,7 +97,7 @@ class Model:
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
     - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
     - `promised`: the cost that one more step of it would reach by its last linearisation, with `damping`.
-    - `frozen`: whether the file's coefficients are held at their values.
+    - `frozen`: whether the file's coefficients are held at their values; `held`: those that are in any case.
     """
 
     members: tuple[Member, ...]
@@ -107,6 +107,7 @@ class Model:
     promised: float = np.inf
     damping: float = LEAST_DAMPING
     frozen: bool = False
+    held: tuple[int, ...] = ()
 
 
 class Workbench:
@@ -271,7 +272,7 @@ class Workbench:
         taken = {self.layout.suspects[m.suspect].label for m in model.members if m.since is None}
         out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
         for j, c in enumerate(self.base):
-            held = model.frozen or c.label in taken
+            held = model.frozen or j in model.held or c.label in taken
             out[j] = (1e12 if held else 1.0) / c.prior**2
         return out
 
