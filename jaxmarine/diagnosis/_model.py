@@ -389,6 +389,16 @@ class Workbench:
                 return False
         return True
 
+    def brakes(self, model: Model) -> bool:
+        """Whether the damping of the file, bent as the model has it, brakes each axis at the logs' speeds."""
+        speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
+        braking = np.zeros(6)
+        for c, z in zip(self.base, model.z, strict=False):
+            if not c.label.startswith(AddedMass.name):
+                by_speed = speed[c.axis] if c.label.startswith(QuadraticDamping.name) else 1.0
+                braking[c.axis] += (c.value + z) * by_speed
+        return bool((braking >= 0).all())
+
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
         return dataclasses.replace(

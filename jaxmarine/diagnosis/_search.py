@@ -290,6 +290,9 @@ def search(
             exact = bench.refine(trial.model)
             if not (np.isfinite(exact.cost) and bench.sound(exact)):
                 continue
+            if bench.brakes(model) and not bench.brakes(exact):
+                # It would only undo what the file's damping does, which the log contradicts in another way.
+                continue
             winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
             after = bench.screen(exact)
             phi = dispersion(bench, exact, after)
