@@ -24,8 +24,6 @@ from ._types import CHANNELS, DOFS, WRENCH
 _UNIT_LENGTH = 1e-9
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
-# ... and their diagonals to two digits at least.
-_ROUNDING = 0.02
 # Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
 # numbers stay finite.
 _ABSURD = 1e18
@@ -336,21 +334,6 @@ class VehicleFile(_Table):
                 f"`slider.mass` is {self.slider.mass:g} kg, but must be below `body.mass`, "
                 f"{self.body.mass:g} kg, which it is part of."
             )
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _weighs_the_same_twice(self) -> "VehicleFile":
-        # An edit of the mass alone would otherwise change the weight and nothing else.
-        if self.body.mass_matrix is None:
-            return self
-        mass = self.body.mass
-        for i, dof in enumerate(DOFS[:3]):
-            entry = self.body.mass_matrix[i][i]
-            if dof in self.dof and abs(entry - mass) > _ROUNDING * mass:
-                raise ValueError(
-                    f"`body.mass_matrix` has {entry:g} kg in {dof}, but `body.mass` is {mass:g} kg; correct "
-                    "one of them, or leave the matrix out."
-                )
         return self
 
     @pydantic.model_validator(mode="after")
