@@ -54,6 +54,7 @@ def test_velocities_in_earth_axes_are_told_with_their_fraction():
     assert values["fraction"] == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_false_scale_is_told_where_it_is_gross():
     label, values = told(logs_of(VelocityScale(jnp.asarray(0.3))))  # pyright: ignore
     assert label == "velocity_scale"

@@ -382,6 +382,7 @@ def test_inputs_broadcast_constants_of_the_drive():
 # --- recordings of another simulator ----------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["train", "test"])
 def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
     """5 s predictions of a log that hides nothing, initial states fitted window by window."""

@@ -32,7 +32,7 @@ def test_a_craft_without_thrusters_can_be_weighed():
     """Driven by a logged wrench; least of no limits is none."""
     driven = record(boat(), steps())
     towed = dataclasses.replace(boat(), thrusters=NOTHING, thruster_names=())
-    log = dataclasses.replace(driven, commands=None, wrench=np.zeros((len(driven.t), 6)), thrusters=())
+    log = dataclasses.replace(driven, commands=None, wrench=np.zeros((len(driven.t), 6)), command_names=())
     bench = workbench(towed, (log,), CATALOGUE, None)
     assert bench.sound(bench.start())
 

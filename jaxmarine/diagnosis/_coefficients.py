@@ -106,10 +106,13 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
             exact = bench.refine(trial.model) if near else trial.model
             trials.append(Trial(trial.member, exact, 2 * (less.cost - exact.cost)))
     trials.sort(key=lambda t: penalty(bench, t.member) - t.saved / phi)
-    best = next(t for t in trials if t is own or bench.sound(t.model))
-    ranked = (best, *(t for t in trials if t is not best))
-    if best is own:
-        return model, ranked
-    instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
-    instead.z[: len(bench.base)] = 0.0
-    return bench.refine(instead), ranked
+    brakes = bench.brakes(less)
+    best = next(t for t in trials if t is own or (bench.sound(t.model) and bench.brakes(t.model) >= brakes))
+    if best is not own:
+        instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
+        instead.z[: len(bench.base)] = 0.0
+        instead = bench.refine(instead)
+        price = penalty(bench, best.member) - penalty(bench, member)
+        if bench.sound(instead) and 2 * (instead.cost - model.cost) / phi + price < 0:
+            return instead, (best, *(t for t in trials if t is not best))
+    return model, (own, *(t for t in trials if t is not own))
