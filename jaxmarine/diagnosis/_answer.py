@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, place
+from ..effects import place
 from ..vehicle import Damping, Placed, Vehicle
 from ._couplings import couplings
 from ._judge import Judged
@@ -21,19 +21,20 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     """The vehicle with the members placed in it and, where `dense`, its coefficients recalibrated."""
     vehicle = bench.vehicle
     if dense:
-        added, linear, quadratic = np.zeros((3, 6, 6))
-        matrices = {
-            AddedMass.name: added,
-            LinearDamping.name: linear,
-            QuadraticDamping.name: quadratic,
-            CoupledDamping.name: linear,
+        change = {
+            "added_mass": np.zeros(6),
+            "linear_damping": np.zeros(6),
+            "quadratic_damping": np.zeros(6),
         }
         for c, z in zip(bench.base, model.z, strict=False):
-            matrices[c.label.partition(":")[0]][c.place] = z
+            change[c.label.split(":")[0]][c.axis] = z
         vehicle = dataclasses.replace(
             vehicle,
-            added_mass=vehicle.added_mass + added,
-            damping=Damping(vehicle.damping.linear + linear, vehicle.damping.quadratic + quadratic),
+            added_mass=vehicle.added_mass + np.diag(change["added_mass"]),
+            damping=Damping(
+                vehicle.damping.linear + np.diag(change["linear_damping"]),
+                vehicle.damping.quadratic + np.diag(change["quadratic_damping"]),
+            ),
         )
     placed = []
     for member, where in zip(model.members, bench.slices(model.members), strict=True):
