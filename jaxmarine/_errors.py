@@ -1,4 +1,4 @@
-"""The one error that a user's input can cause."""
+"""The one error that a user's input can cause, and what several commands say with it."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,10 @@ class InputError(ValueError):
     The message is one sentence: what is wrong, where, and what to do. The command line prints it
     on stderr without a traceback and ends with exit code 2.
     """
+
+
+def runaway(log: str, vehicle: str) -> InputError:
+    """What to say where the simulation of a vehicle does not stay finite along a log."""
+    return InputError(
+        f"{log}: the simulation of {vehicle} runs away on it; check the signs of damping and added mass."
+    )

@@ -57,10 +57,10 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     """Those of logs, end to end; None where too few stretches have all free positions and angles."""
     rotations, motions, logged = [], [], []
     locked = vehicle.free == 0
+    # A boat with surge and yaw goes east as well.
+    still = ~np.append(reachable(~locked), ~locked[3:])
     size = max(2, round(SPAN / float(np.median([log.dt for log in logs]))))
     for log in logs:
-        # A boat with surge and yaw goes east as well.
-        still = ~np.append(reachable(vehicle.free > 0), vehicle.free[3:] > 0)
         poses = np.where(still, 0.0, log.channels[:, :6])
         for first in range(0, len(log.t) - size, size):
             here = slice(first, first + size + 1)

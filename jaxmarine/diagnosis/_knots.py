@@ -126,6 +126,7 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     h_z = stats.h[:, :n, :n].sum(0) + np.diag(k.precision)
     g_z = stats.g[:, :n].sum(0) + k.precision * k.offset
     inverse = solve(h_z, np.eye(n))
+    pulled = inverse @ g_z
     # Knots times (north, east).
     g = stats.g[:, n:].reshape(-1, count, 2)
     cross = stats.h[:, :n, n:].reshape(len(t), n, count, 2)
@@ -136,7 +137,7 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
         swing = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
         across = np.einsum("wnka,wks->nas", cross, swing, optimize=True).reshape(n, 4)
         own_h = np.einsum("wkalb,wks,wlr->asbr", own, swing, swing, optimize=True).reshape(4, 4)
-        own_g = np.einsum("wka,wks->as", g, swing).ravel() - across.T @ inverse @ g_z
+        own_g = np.einsum("wka,wks->as", g, swing).ravel() - across.T @ pulled
         step = -solve(own_h - across.T @ inverse @ across, own_g)
         saved = float(-own_g @ step)
         if saved > best[0]:

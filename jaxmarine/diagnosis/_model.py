@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._compiled import compiled
-from .._errors import InputError
+from .._errors import InputError, runaway
 from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
 from ..fitting import (
@@ -311,10 +311,7 @@ class Workbench:
         """The model refined; raises `InputError` where the vehicle runs away along the logs."""
         out = self.refine(model)
         if not np.isfinite(out.cost):
-            raise InputError(
-                f"{self.data.logs[0].name}: the simulation of {self.vehicle.name} runs away on it; check the "
-                "signs of damping and added mass."
-            )
+            raise runaway(self.data.logs[0].name, self.vehicle.name)
         return out
 
     def frozen(self, model: Model) -> Model:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._errors import InputError
+from .._errors import InputError, runaway
 from .._precision import need_double
 from .._types import DOFS
 from ..logs import Log
@@ -178,10 +178,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
         task = _reweighed(task, refined, estimated)
         refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
-        raise InputError(
-            f"{logs[0].name}: the simulation of {vehicle.name} runs away on it; check the signs of damping "
-            "and added mass."
-        )
+        raise runaway(logs[0].name, vehicle.name)
     return evaluated(vehicle, logs, task, refined, freed.names, window)
 
 
