@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 DIAGNOSING = {f"test_{name}" for name in ("contradiction", "diagnosis", "hidden", "score", "unknown", "walk")}
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadScopeScheduling:
     """Deals tests out by module, and those that diagnose the same vehicles to one process.
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.blind.outside import play
-from jaxmarine.diagnosis._knots import Knots
+from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places, _played
@@ -103,6 +103,26 @@ def test_a_velocity_that_a_disturbance_has_caused_is_not_its_cause():
     # A drag that the file lacks shows on both.
     lacking = knots_with(-0.8 * signals["w"] + 0.3 * push, signals, rng)
     assert [found.signals for found in dependences(lacking, 1.0, {"w": told})] == [("w",)]
+
+
+def test_what_a_coupling_of_the_file_may_be_off_by_is_not_unknown():
+    rng = np.random.default_rng(8)
+    signals = {name: drift(rng, 4.0) for name in ("u", "w")}
+    coupling = 2.0 * signals["u"]
+
+    def left(force: np.ndarray) -> list[tuple[str, ...]]:
+        missing = knots_with(force, signals, rng)
+        assert [found.signals for found in dependences(missing, 1.0)] == [("u",)]
+        bent = missing.beside(on_axis(HEAVE, coupling[..., None]), 0.1)
+        # Independent of `beside`: the change of chi-square by the wrench that has now been added.
+        push = bent.stats.g - missing.stats.g
+        added = np.linalg.solve(missing.stats.h[0][2::6, 2::6], push[:, 2::6].T).T
+        chi2 = (2 * missing.stats.g[:, 2::6] * added + push[:, 2::6] * added).sum(1)
+        np.testing.assert_allclose(bent.stats.chi2 - missing.stats.chi2, chi2, rtol=1e-9)
+        return [found.signals for found in dependences(bent, 1.0)]
+
+    assert left(0.1 * coupling) == []
+    assert left(0.1 * coupling + 0.3 * signals["u"] ** 3) == [("u",)]
 
 
 # --- memory of a command ----------------------------------------------------------------------

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import place
+from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, place
 from ..vehicle import Damping, Placed, Vehicle
 from ._couplings import couplings
 from ._judge import Judged
@@ -21,20 +21,19 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     """The vehicle with the members placed in it and, where `dense`, its coefficients recalibrated."""
     vehicle = bench.vehicle
     if dense:
-        change = {
-            "added_mass": np.zeros(6),
-            "linear_damping": np.zeros(6),
-            "quadratic_damping": np.zeros(6),
+        added, linear, quadratic = np.zeros((3, 6, 6))
+        matrices = {
+            AddedMass.name: added,
+            LinearDamping.name: linear,
+            QuadraticDamping.name: quadratic,
+            CoupledDamping.name: linear,
         }
         for c, z in zip(bench.base, model.z, strict=False):
-            change[c.label.split(":")[0]][c.axis] = z
+            matrices[c.label.partition(":")[0]][c.place] = z
         vehicle = dataclasses.replace(
             vehicle,
-            added_mass=vehicle.added_mass + np.diag(change["added_mass"]),
-            damping=Damping(
-                vehicle.damping.linear + np.diag(change["linear_damping"]),
-                vehicle.damping.quadratic + np.diag(change["quadratic_damping"]),
-            ),
+            added_mass=vehicle.added_mass + added,
+            damping=Damping(vehicle.damping.linear + linear, vehicle.damping.quadratic + quadratic),
         )
     placed = []
     for member, where in zip(model.members, bench.slices(model.members), strict=True):
@@ -83,7 +82,7 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     say a mean and a covariance.
     """
     members, count = now.model.members, len(bench.base)
-    share = _wrong_by(bench, now.model)
+    share = wrong_by(bench, now.model)
     named = {bench.layout.suspects[m.suspect].label for m in members}
     stats = now.knots.wrench(couplings(bench.vehicle, now.knots.places))
     g, h = stats.g.sum(0), stats.h.sum(0)
@@ -104,7 +103,7 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     return out
 
 
-def _wrong_by(bench: Workbench, model: Model) -> float:
+def wrong_by(bench: Workbench, model: Model) -> float:
     """By what share the coefficients of the file are off: the spread of those that were recalibrated."""
     shares = [abs(z) / c.prior for c, z in zip(bench.base, model.z, strict=False) if c.value]
     return FILE_ERROR * max(1.0, 1.48 * float(np.median(shares)) if shares else 0.0)

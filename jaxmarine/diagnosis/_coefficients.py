@@ -6,7 +6,7 @@ import numpy as np
 
 from ._model import Member, Model, Workbench
 from ._score import solve, t_value
-from ._search import NEARLY, SIGMAS, Round, Trial, needed, penalty, putting_back, weigh
+from ._search import CHANCES, NEARLY, SIGMAS, Round, Trial, needed, penalty, putting_back, weigh
 
 # More coefficients than this being off means a file that is a little wrong everywhere.
 FEW = 2
@@ -51,13 +51,18 @@ def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
 def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tuple[Round, ...]]:
     """The model with its few wrong coefficients as members and all others at the file's value.
 
-    Or, where many have moved together, the model as it is: a recalibrated file. Returns which, and what was
-    weighed in the place of each wrong coefficient.
+    Or, where many have moved together and no one cause does the same, the model as it is: a recalibrated
+    file. Returns which, and what was weighed in the place of wrong coefficients.
     """
     chosen = _needed_changes(bench, model, phi)
     suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
+    rounds = []
     if len(chosen) > FEW:
-        return model, True, ()
+        cause = _one_for_many(bench, model, len(chosen), phi)
+        if cause is None:
+            return model, True, ()
+        model, chosen, trials = cause
+        rounds.append(Round(trials, True, phi))
     z = model.z.copy()
     frozen = bench.frozen(dataclasses.replace(model, z=z))
     for j in chosen:
@@ -69,11 +74,39 @@ def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tup
         if t_value(lost) < SIGMAS:
             # A few windows pulled it there.
             frozen = _refitted(bench, bench.without_member(frozen, i), frozen.cost)
-    rounds = []
     for member in frozen.members[len(model.members) :]:
         frozen, trials = _instead(bench, frozen, member, phi)
         rounds.append(Round(trials, True, phi))
     return frozen, False, tuple(rounds)
+
+
+def _one_for_many(
+    bench: Workbench, model: Model, many: int, phi: float
+) -> tuple[Model, list[int], tuple[Trial, ...]] | None:
+    """A cause that makes more coefficients superfluous than it has numbers, few being left, if there is one.
+
+    All coefficients too high alike are a thrust that is too weak: free, they bent to what it does, and left
+    it nothing to explain. It is looked for beside the file held as it is. Returns the model with it, what
+    must change nevertheless, and all that was weighed.
+    """
+    held = bench.refine(bench.frozen(bench.as_filed(model)))
+    if not np.isfinite(held.cost):
+        return None
+    own = {c.label for c in bench.base}
+    trials = [t for t in weigh(bench, held, bench.screen(held)) if _label(bench, t.member) not in own]
+    for trial in trials[:CHANCES]:
+        free = bench.refine(dataclasses.replace(trial.model, frozen=False))
+        if not bench.stands(free, held):
+            continue
+        chosen = _needed_changes(bench, free, phi)
+        simpler = (many - len(chosen)) * np.log(bench.samples) - penalty(bench, trial.member)
+        if len(chosen) <= FEW and simpler > max(0.0, 2 * (free.cost - model.cost) / phi):
+            return free, chosen, (trial, *(t for t in trials if t is not trial))
+    return None
+
+
+def _label(bench: Workbench, member: Member) -> str:
+    return bench.layout.suspects[member.suspect].label
 
 
 def _refitted(bench: Workbench, model: Model, before: float) -> Model:
@@ -106,13 +139,12 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
             exact = bench.refine(trial.model) if near else trial.model
             trials.append(Trial(trial.member, exact, 2 * (less.cost - exact.cost)))
     trials.sort(key=lambda t: penalty(bench, t.member) - t.saved / phi)
-    brakes = bench.brakes(less)
-    best = next(t for t in trials if t is own or (bench.sound(t.model) and bench.brakes(t.model) >= brakes))
+    best = next(t for t in trials if t is own or bench.stands(t.model, less))
     if best is not own:
         instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
         instead.z[: len(bench.base)] = 0.0
         instead = bench.refine(instead)
         price = penalty(bench, best.member) - penalty(bench, member)
-        if bench.sound(instead) and 2 * (instead.cost - model.cost) / phi + price < 0:
+        if bench.stands(instead, model) and 2 * (instead.cost - model.cost) / phi + price < 0:
             return instead, (best, *(t for t in trials if t is not best))
     return model, (own, *(t for t in trials if t is not own))

@@ -1,4 +1,4 @@
-"""What a file's coupling terms may be off by: only diagonals are recalibrated, the others stay as filed."""
+"""What the coupling terms of a file may be off by that are not recalibrated: all but linear damping's."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from ._signals import Places
 
 
 def couplings(vehicle: Vehicle, places: Places) -> Float[np.ndarray, "windows knots 6 couplings"]:
-    """The wrench [N, N m] at the knots of each term off the diagonals of added mass and damping.
+    """The wrench [N, N m] at the knots of each term off the diagonals of added mass and quadratic damping.
 
     Velocities over ground stand for those through the water, and accelerations are differences between
     knots: it is the size of what such a term may hide that matters here.
@@ -26,8 +26,7 @@ def couplings(vehicle: Vehicle, places: Places) -> Float[np.ndarray, "windows kn
         pair = np.zeros((6, 6))
         pair[i, j] = pair[j, i] = added[i, j]
         out.append(nu_dot @ pair + np.asarray(swirl(jnp.asarray(pair), jnp.asarray(nu))))
-    terms = ((vehicle.damping.linear, nu), (vehicle.damping.quadratic, np.abs(nu) * nu))
-    for matrix, flow in terms:
-        for i, j in np.argwhere((np.asarray(matrix) != 0) & between & ~np.eye(6, dtype=bool)):
-            out.append(np.eye(6)[i] * np.asarray(matrix)[i, j] * flow[..., j : j + 1])
+    quadratic = np.asarray(vehicle.damping.quadratic)
+    for i, j in np.argwhere((quadratic != 0) & between & ~np.eye(6, dtype=bool)):
+        out.append(np.eye(6)[i] * quadratic[i, j] * (np.abs(nu) * nu)[..., j : j + 1])
     return np.stack(out, axis=-1) if out else np.zeros((*nu.shape, 0))

@@ -59,6 +59,24 @@ class Knots:
             np.concatenate([top, bottom], axis=1),
         )
 
+    def beside(self, values: Float[np.ndarray, "windows knots 6 features"], share: float) -> "Knots":
+        """The statistics once wrenches with these values may act, each as often as a prior `share` allows.
+
+        The known numbers give way to them (one step of the linearised chi-square).
+        """
+        n = self.width
+        stats = self.wrench(values)
+        h, g = stats.h.sum(0), stats.g.sum(0)
+        h += np.diag(np.concatenate([self.precision, np.full(values.shape[-1], share**-2)]))
+        g[:n] += self.precision * self.offset
+        step = -solve(h, g)
+        push = (values @ step[n:]).reshape(len(values), -1)
+        moved = np.concatenate([np.broadcast_to(step[:n], (len(values), n)), push], axis=1)
+        bent = (self.stats.h @ moved[..., None])[..., 0]
+        chi2 = self.stats.chi2 + ((2 * self.stats.g + bent) * moved).sum(axis=1)
+        after = Reduced(chi2, self.stats.g + bent, self.stats.h)
+        return dataclasses.replace(self, stats=after, offset=self.offset + step[:n])
+
 
 def knots(bench: Workbench, model: Model) -> Knots:
     """The knots' statistics at a model."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, LinearDamping, QuadraticDamping
+from ..effects import AbstractEffect, AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, Suspect
 from ..fitting import (
     LEAST_DAMPING,
     Affine,
@@ -391,10 +391,20 @@ class Workbench:
         speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
         braking = np.zeros(6)
         for c, z in zip(self.base, model.z, strict=False):
-            if not c.label.startswith(AddedMass.name):
-                by_speed = speed[c.axis] if c.label.startswith(QuadraticDamping.name) else 1.0
-                braking[c.axis] += (c.value + z) * by_speed
+            if c.diagonal and not c.label.startswith(AddedMass.name):
+                axis, by_speed = c.place[0], c.label.startswith(QuadraticDamping.name)
+                braking[axis] += (c.value + z) * (speed[axis] if by_speed else 1.0)
         return bool((braking >= 0).all())
+
+    def stands(self, model: Model, beside: Model) -> bool:
+        """Whether a refit may stand: it ended, its numbers mean something, and its damping brakes.
+
+        The latter where that of the model it was refitted from does: a cause that turns the file's damping
+        into a push only undoes what the log contradicts in another way.
+        """
+        if not np.isfinite(model.cost) or not self.sound(model):
+            return False
+        return self.brakes(model) or not self.brakes(beside)
 
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
@@ -452,7 +462,8 @@ class Workbench:
         z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
         refined = refine_windows(task, jnp.asarray(z), model.delta, 1)
-        names = [coefficient_name(_KINDS[c.label.partition(":")[0]], DOFS[c.axis]) for c in self.base]
+        own = [(c.label.partition(":")[0], DOFS[c.place[0]]) for c in self.base if c.diagonal]
+        names = [coefficient_name(_KINDS[kind], dof) for kind, dof in own]
         return evaluated(self.vehicle, self.data.logs, task, refined, names, self.data.length)
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -496,38 +507,60 @@ def _linearise(problem, affine, delta, knots: int):
 
 @dataclasses.dataclass(frozen=True)
 class Coefficient:
-    """A coefficient that the file has: where it lies, its value there, and the width of its prior."""
+    """A coefficient that the file has: where it lies, its value there, and the width of its prior.
+
+    - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
+    """
 
     label: str
-    axis: int
+    place: tuple[int, int]
     index: int
     value: float
     prior: float
     unit: str
 
+    @property
+    def diagonal(self) -> bool:
+        return self.place[0] == self.place[1]
+
 
 def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
-    """Added mass and damping of each free axis, with priors of a tenth of their value.
+    """Added mass and damping of each free axis, with priors of a tenth of their value; then linear damping
+    between axes, where the file has some.
 
-    Of the total mass for added mass. Where the file says zero, the prior is what brakes the axis by 2 %
+    Of the total mass for added mass. Where the file says zero on an axis, the prior is what brakes it by 2 %
     a second (linear), or at 1 m/s or rad/s (quadratic).
     """
-    mass = np.diag(np.asarray(vehicle.mass_matrix))
-    linear = np.diag(np.asarray(vehicle.damping.linear))
-    quadratic = np.diag(np.asarray(vehicle.damping.quadratic))
-    kinds = (
-        (AddedMass, mass, np.diag(np.asarray(vehicle.added_mass))),
-        (LinearDamping, linear, linear),
-        (QuadraticDamping, quadratic, quadratic),
-    )
+    mass = np.asarray(vehicle.mass_matrix)
+    linear, quadratic = np.asarray(vehicle.damping.linear), np.asarray(vehicle.damping.quadratic)
+    kinds = {
+        AddedMass: (mass, np.asarray(vehicle.added_mass)),
+        LinearDamping: (linear, linear),
+        QuadraticDamping: (quadratic, quadratic),
+        CoupledDamping: (linear, linear),
+    }
     out = []
     for i, suspect in enumerate(layout.suspects):
-        for kind, scale, value in kinds:
-            if suspect.effect is kind:
-                place = int(np.flatnonzero(layout.columns[i][:, 0])[0])
-                axis = DOFS.index(str(suspect.target))
-                size = FILE_ERROR * abs(scale[axis]) or 0.02 * mass[axis]
-                out.append(
-                    Coefficient(suspect.label, axis, place, float(value[axis]), size, kind.units["value"])
-                )
-    return tuple(out)
+        if suspect.effect not in kinds:
+            continue
+        scale, value = (matrix[matrix_place(suspect)] for matrix in kinds[suspect.effect])
+        if suspect.effect is CoupledDamping and not value:
+            continue
+        row, _ = matrix_place(suspect)
+        out.append(
+            Coefficient(
+                suspect.label,
+                matrix_place(suspect),
+                int(np.flatnonzero(layout.columns[i][:, 0])[0]),
+                float(value),
+                FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
+                suspect.effect.units["value"],
+            )
+        )
+    return tuple(sorted(out, key=lambda c: not c.diagonal))
+
+
+def matrix_place(suspect: Suspect) -> tuple[int, int]:
+    """Row and column of the coefficient that a suspect with the target `row` or `row<-column` accuses."""
+    row, _, column = str(suspect.target).partition("<-")
+    return DOFS.index(row), DOFS.index(column or row)

@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from .._errors import InputError
 from .._precision import need_double
-from ..effects import AddedMass, LinearDamping, QuadraticDamping
+from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping
 from ..fitting import start_precision, wrapped
 from ..logs import Log
 from ..physics import step_lengths, to_euler
@@ -335,7 +335,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         raise InputError(
             f"{vehicle.name}: states no noise under [sensors]; say what is measured, and how well."
         )
-    own = (AddedMass, LinearDamping, QuadraticDamping)
+    own = (AddedMass, LinearDamping, QuadraticDamping, CoupledDamping)
     families, layout = saturate(vehicle, tuple(dict.fromkeys((*own, *(type(c.effect) for c in causes)))))
     base = base_coefficients(vehicle, layout)
     theta, columns, precision = [], [], []

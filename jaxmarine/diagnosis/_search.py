@@ -288,10 +288,7 @@ def search(
         accepted, after, phi = False, stats, 1.0
         for trial in [trials[0], *rivals[: CHANCES - 1]]:
             exact = bench.refine(trial.model)
-            if not (np.isfinite(exact.cost) and bench.sound(exact)):
-                continue
-            if bench.brakes(model) and not bench.brakes(exact):
-                # It would only undo what the file's damping does, which the log contradicts in another way.
+            if not bench.stands(exact, model):
                 continue
             winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
             after = bench.screen(exact)
@@ -331,8 +328,9 @@ def _by_evidence(
         hoped = trial.saved + 2 * max(trial.model.cost - trial.model.promised, 0.0)
         if chi2(trial, hoped) > least:
             exact = bench.refine(trial.model)
-            if np.isfinite(exact.cost) and bench.sound(exact):
-                trial = Trial(trial.member, exact, 2 * (model.cost - exact.cost))
+            if not bench.stands(exact, model):
+                continue
+            trial = Trial(trial.member, exact, 2 * (model.cost - exact.cost))
         out.append(trial)
     return sorted(out, key=lambda t: -chi2(t, t.saved))
 

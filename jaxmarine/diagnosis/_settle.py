@@ -37,10 +37,16 @@ def pruned(bench: Workbench, model: Model) -> Model:
 
 
 def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: float) -> Model:
-    """Each member against those that it beat in its round, now that the other members are known."""
+    """Each member against those that it beat in its round, now that the other members are known.
+
+    But for coefficients of the file: what could stand in their place was weighed while the others may bend.
+    """
     if len(model.members) == 1:
         return model
+    own = {c.label for c in bench.base}
     for i, member in enumerate(model.members):
+        if bench.layout.suspects[member.suspect].label in own:
+            continue
         trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
         for trial in trials[0][1 : 1 + RIVALS] if trials else ():
             suspect, less = trial.member.suspect, bench.without_member(model, i)
@@ -51,7 +57,7 @@ def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: flo
             value = trial.model.z[bench.slices(trial.model.members)[-1]]
             other = bench.refine(bench.with_other(model, i, trial.member, value), STEPS)
             price = penalty(bench, trial.member) - penalty(bench, model.members[i])
-            if bench.sound(other) and 2 * (other.cost - model.cost) / phi + price < 0:
+            if bench.stands(other, model) and 2 * (other.cost - model.cost) / phi + price < 0:
                 model = other
     return model
 

@@ -9,7 +9,8 @@ from .._types import RATE, VELOCITY
 from ..logs import smooth_states
 from ..simulation import initial_state, simulate
 from ..vehicle import Vehicle
-from ._answer import extended_by
+from ._answer import extended_by, wrong_by
+from ._couplings import couplings
 from ._judge import Judged, judged
 from ._model import Model, Workbench
 from ._progress import Progress
@@ -47,7 +48,9 @@ def with_unknown(
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
-    return dependences(now.knots, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
+    # The file's coupling terms, which no refit has touched, may be off before anything is unknown.
+    bent = now.knots.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
+    return dependences(bent, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
