@@ -30,8 +30,9 @@ BUMPS = 16
 MOST_BUMPS = 48
 # Half periods of a drift in the logs.
 SWINGS = 12
-# Pull to zero of a regressor's coefficient, relative to what the data say of it.
-RIDGE = 1e-3
+# Pulls to zero of the regressors' coefficients, relative to what the data say of one: the one that predicts
+# left-out windows best is taken. Pulled too little, many shapes follow the noise, and hide what they explain.
+RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
 # Share of the strongest saving that another axis must have: a strong missing force reaches others through
 # the coupled mass.
 SMALLEST = 0.02
@@ -71,7 +72,7 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
     """Shapes of one signal.
 
     Harmonics of an angle that turns; bumps over the range of a place, of the time and of a small angle;
-    x, x², x³ and |x| x of all that has a zero of its own.
+    x, x², x³, |x| x and a step at zero, as of dry friction, of all that has a zero of its own.
     """
     if name in ATTITUDE and np.ptp(values) > 2.0:
         turns = np.arange(1, HARMONICS + 1) * values[..., None]
@@ -83,7 +84,7 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
         bumps = np.exp(-0.5 * ((count - 1) * x[..., None] - np.arange(count)) ** 2)
         return np.concatenate([x[..., None] - 0.5, (x[..., None] - 0.5) ** 2, bumps], axis=-1)
     x = np.clip(values / max(float(np.quantile(np.abs(values), 0.99)), 1e-12), -1.5, 1.5)
-    return np.stack([x, x**2, x**3, np.abs(x) * x], axis=-1)
+    return np.stack([x, x**2, x**3, np.abs(x) * x, np.tanh(10.0 * x)], axis=-1)
 
 
 def _swings(t: np.ndarray) -> np.ndarray:
@@ -131,23 +132,25 @@ def _left_out(
     y: Float[np.ndarray, "windows knots"],
     weight: Float[np.ndarray, "windows knots"],
     values: Float[np.ndarray, "windows knots features"],
-) -> Float[np.ndarray, "windows knots"]:
-    """The response in each window by a ridge regression on the others, neighbours left out as well."""
+) -> Float[np.ndarray, "ridges windows knots"]:
+    """The response in each window by ridge regressions on the others, neighbours left out as well."""
     total, count = weight.sum(), values.shape[-1]
     flat = values.reshape(y.size, count)
     centre = weight.ravel() @ flat / total
     spread = np.sqrt(weight.ravel() @ (flat - centre) ** 2 / total)
     x = np.ones((*y.shape, count + 1))
     x[..., :-1] = (values - centre) / np.maximum(spread, 1e-9)
-    pull = RIDGE * total * np.diag([*np.ones(count), 0.0])
+    pull = total * np.diag([*np.ones(count), 0.0])
     fold = blocks(len(y))
-    out = np.zeros_like(y)
+    out = np.zeros((len(RIDGES), *y.shape))
     for b in np.unique(fold):
         left = fold == b
         rest = np.convolve(left, [1, 1, 1], "same") == 0
         seen = x[rest].reshape(-1, count + 1)
         weighted = (seen * weight[rest].reshape(-1, 1)).T
-        out[left] = x[left] @ np.linalg.solve(weighted @ seen + pull, weighted @ y[rest].ravel())
+        h, g = weighted @ seen, weighted @ y[rest].ravel()
+        for one, ridge in zip(out, RIDGES, strict=True):
+            one[left] = x[left] @ np.linalg.solve(h + ridge * pull, g)
     return out
 
 
@@ -175,7 +178,9 @@ class _Ledger:
         return ((2 * self.g + bent) * push).sum(axis=1)
 
     def wrench(self, axis: int, values: np.ndarray) -> Float[np.ndarray, "windows knots"]:
-        return _left_out(self.y[..., axis], self.weight[..., axis], values)
+        """What regressors predict of the missing wrench on left-out windows, pulled to zero as suits them."""
+        pulled = _left_out(self.y[..., axis], self.weight[..., axis], values)
+        return min(pulled, key=lambda wrench: self.chi2(axis, wrench).sum())
 
     def saved(self, axis: int, values: np.ndarray) -> Float[np.ndarray, " windows"]:
         """Chi-square saved on each window, beyond a constant, by regressors fitted on the others."""

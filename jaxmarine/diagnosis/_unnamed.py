@@ -48,8 +48,11 @@ def with_unknown(
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
-    # The file's coupling terms, which no refit has touched, may be off before anything is unknown.
-    bent = now.knots.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
+    # Coefficients of the file may be off before anything is unknown: coupling terms, which no refit has
+    # touched, and beside named causes those that were held to name them.
+    _, precision, _ = bench.known(dataclasses.replace(now.model, frozen=not now.model.members))
+    missing = dataclasses.replace(now.knots, precision=precision)
+    bent = missing.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
     return dependences(bent, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
 
 
