@@ -1,6 +1,7 @@
 """Which of the file's own coefficients have moved: one or two that are wrong, or the whole file a little."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -55,20 +56,15 @@ def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tup
     file. Returns which, and what was weighed in the place of wrong coefficients.
     """
     chosen = _needed_changes(bench, model, phi)
-    suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
-    rounds = []
-    if len(chosen) > FEW:
+    rounds: list[Round] = []
+    if len(chosen) <= FEW:
+        frozen = _with_changes(bench, model, chosen)
+    else:
         cause = _one_for_many(bench, model, len(chosen), phi)
         if cause is None:
             return model, True, ()
-        model, chosen, trials = cause
+        model, frozen, trials = cause
         rounds.append(Round(trials, True, phi))
-    z = model.z.copy()
-    frozen = bench.frozen(dataclasses.replace(model, z=z))
-    for j in chosen:
-        frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), z[j : j + 1])
-    frozen.z[: len(bench.base)] = 0.0
-    frozen = _refitted(bench, frozen, model.cost)
     for i in reversed(range(len(model.members), len(frozen.members))):
         lost = putting_back(bench, frozen, bench.screen(frozen), bench.slices(frozen.members)[i])
         if t_value(lost) < SIGMAS:
@@ -80,14 +76,24 @@ def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tup
     return frozen, False, tuple(rounds)
 
 
+def _with_changes(bench: Workbench, model: Model, chosen: Sequence[int]) -> Model:
+    """The model with some coefficients of the file as members, after its own, and all others held."""
+    suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
+    frozen = bench.frozen(dataclasses.replace(model, z=model.z.copy()))
+    for j in chosen:
+        frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), model.z[j : j + 1])
+    frozen.z[: len(bench.base)] = 0.0
+    return _refitted(bench, frozen, model.cost)
+
+
 def _one_for_many(
     bench: Workbench, model: Model, many: int, phi: float
-) -> tuple[Model, list[int], tuple[Trial, ...]] | None:
+) -> tuple[Model, Model, tuple[Trial, ...]] | None:
     """A cause that makes more coefficients superfluous than it has numbers, few being left, if there is one.
 
     All coefficients too high alike are a thrust that is too weak: free, they bent to what it does, and left
-    it nothing to explain. It is looked for beside the file held as it is. Returns the model with it, what
-    must change nevertheless, and all that was weighed.
+    it nothing to explain. It is looked for beside the file held as it is. Returns the model with it, the same
+    with what must change nevertheless and all else held, and all that was weighed.
     """
     held = bench.refine(bench.frozen(bench.as_filed(model)))
     if not np.isfinite(held.cost):
@@ -100,8 +106,11 @@ def _one_for_many(
             continue
         chosen = _needed_changes(bench, free, phi)
         simpler = (many - len(chosen)) * np.log(bench.samples) - penalty(bench, trial.member)
-        if len(chosen) <= FEW and simpler > max(0.0, 2 * (free.cost - model.cost) / phi):
-            return free, chosen, (trial, *(t for t in trials if t is not trial))
+        if len(chosen) > FEW or simpler < 0:
+            continue
+        frozen = _with_changes(bench, free, chosen)
+        if bench.stands(frozen, held) and 2 * (frozen.cost - model.cost) / phi < simpler:
+            return free, frozen, (trial, *(t for t in trials if t is not trial))
     return None
 
 

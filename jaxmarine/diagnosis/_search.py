@@ -252,6 +252,12 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
     """The most promising suspects, each refitted beside what the model has, the best by evidence first."""
+    if not model.frozen and not bench.sound(model):
+        held = bench.refine(bench.frozen(bench.as_filed(model)))
+        if np.isfinite(held.cost):
+            # The file's coefficients bent until they mean nothing: what is true beside them does not show.
+            trials = weigh(bench, held, bench.screen(held), progress)
+            return _by_penalty(bench, _freed(bench, model, trials[:MORE]))
     progress(f"scoring {len(bench.layout.suspects)} suspects")
     ranked, begun = shortlist(bench, model, stats)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
@@ -263,7 +269,20 @@ def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = s
     if best > PROBED or not trials:
         progress("refitting the best suspects")
         trials += _trials(bench, model, probes(bench, model, best))
+    return _by_penalty(bench, trials)
+
+
+def _by_penalty(bench: Workbench, trials: Sequence[Trial]) -> list[Trial]:
     return sorted(trials, key=lambda t: penalty(bench, t.member) - t.saved)
+
+
+def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials that were made beside a file held as it is, refitted beside one that may bend as the model's."""
+    out = []
+    for trial in trials:
+        free = bench.refine(dataclasses.replace(trial.model, frozen=False), STEPS, ROUGH)
+        out.append(Trial(trial.member, free, 2 * (model.cost - free.cost)))
+    return [t for t in out if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
 def search(

@@ -22,7 +22,7 @@ SIGMAS = 3.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
 # Share of what is left beyond the noise from which a dependence on measured velocities speaks for itself.
-MOST_OF = 0.5
+MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
 HARMONICS = 6
