@@ -5,7 +5,7 @@ import difflib
 import os
 import tomllib
 import typing
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -72,6 +72,16 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         # The sentence above must not give way to a second failure.
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Writes files by their paths in a folder: all are beside their places before one moves.
+
+    The first one moves last: where a killed run has moved some, it is still the one before.
+    """
+    with contextlib.ExitStack() as stack:
+        for name, content in files.items():
+            stack.enter_context(written_whole(folder / name)).write_bytes(content)
 
 
 def validated(model: type[_Model], data: object, source: str) -> _Model:

@@ -2,15 +2,27 @@
 
 import os
 import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from ._errors import InputError
+from ._progress import FOUND
+
+Result = TypeVar("Result")
+
+_STOPPED = 130
+
+
+class _Stopped(BaseException):
+    """Ctrl-C while work goes on beside the main thread: what was found until then."""
+
 
 _FIRST_TIME = "the first time for a vehicle, programs are compiled for about a minute"
 
@@ -97,12 +109,52 @@ def diagnose(
     _folder(out, make=False)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
-    logs = [read_log(path, craft, columns_map) for path in train]
+    logs = _read(train, craft, columns_map)
     held_out = read_log(test, craft, columns_map)
     _note(*logs, held_out)
     with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
-        result = run(craft, logs, held_out, window=window, progress=tell)
+        result = _stoppable(lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell)
     _write(result, out)
+
+
+def _read(paths: Sequence[Path], craft, columns) -> list:
+    """The logs; of several one that cannot be used is left out, and a note says which and why."""
+    from dataclasses import replace
+
+    from .logs import read_log
+
+    logs, wrong = [], []
+    for path in paths:
+        try:
+            logs.append(read_log(path, craft, columns))
+        except InputError as error:
+            wrong.append(error)
+    if not logs:
+        raise wrong[0]
+    logs[0] = replace(logs[0], notes=(*(f"Left out: {error}" for error in wrong), *logs[0].notes))
+    return logs
+
+
+def _stoppable(work: Callable[[Callable[[str], None]], Result], tell: Callable[[str], None]) -> Result:
+    """The result of long work, done beside the main thread: Ctrl-C ends the program at once.
+
+    A compiled program looks up only when it has ended, which may take a minute; what was found until then
+    is said.
+    """
+    found = []
+
+    def listen(words: str) -> None:
+        tell(words)
+        if words.startswith(FOUND):
+            found.append(words.removeprefix(FOUND))
+
+    try:
+        future = ThreadPoolExecutor(1).submit(work, listen)
+        while not future.done():
+            wait([future], timeout=0.2)
+        return future.result()
+    except KeyboardInterrupt:
+        raise _Stopped(f" Found so far, not settled: {', '.join(found)}." if found else "") from None
 
 
 def _folder(out: Path, make: bool = True) -> None:
@@ -241,22 +293,24 @@ def fit(
         raise InputError(f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}.")
     _prepare()
     from .fitting import fit as run
-    from .logs import read_log
     from .vehicle_io import load_vehicle, save_vehicle
 
     _file(out)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
-    logs = [read_log(path, craft, columns_map) for path in train]
+    logs = _read(train, craft, columns_map)
     _note(*logs)
-    with _progress(f"fitting; {_FIRST_TIME}"):
-        result = run(
-            craft,
-            logs,
-            lambda v: tuple(_FREE[name](v) for name in free),
-            prior=prior,
-            entries="diagonal",
-            throw=False,
+    with _progress(f"fitting; {_FIRST_TIME}") as tell:
+        result = _stoppable(
+            lambda _: run(
+                craft,
+                logs,
+                lambda v: tuple(_FREE[name](v) for name in free),
+                prior=prior,
+                entries="diagonal",
+                throw=False,
+            ),
+            tell,
         )
     if not result.converged:
         raise InputError(f"{train[0]}: the fit found no minimum; give --prior 0.3, or log livelier motion.")
@@ -279,15 +333,14 @@ def check(
     """Says how well logs excite each axis, which coefficients they determine, and what to log next."""
     _prepare()
     from .fitting import check as run
-    from .logs import read_log
     from .vehicle_io import load_vehicle
 
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
-    recorded = [read_log(path, craft, columns_map) for path in logs]
+    recorded = _read(logs, craft, columns_map)
     _note(*recorded)
-    with _progress("checking"):
-        result = run(craft, recorded)
+    with _progress("checking") as tell:
+        result = _stoppable(lambda _: run(craft, recorded), tell)
     _say(str(result))
 
 
@@ -329,7 +382,7 @@ def plan(
     causes = [cause_named(craft, text) for text in cause]
     box = Box(depth, tilt, speed, radius)
     with _progress("planning; for a new duration or kind of cause, programs compile for minutes") as tell:
-        result = run(craft, causes, duration, box, progress=tell)
+        result = _stoppable(lambda tell: run(craft, causes, duration, box, progress=tell), tell)
     write_log(result.log, out)
     random = ", ".join(f"{evidence:.1f}" for evidence in sorted(result.random_evidence))
     _say(
@@ -355,7 +408,7 @@ def demo(
     with _progress("simulating Tethra") as tell:
         train, test = hidden(craft, "thruster_gain", "port_h", {"factor": 0.72})
         tell(f"diagnosing; {_FIRST_TIME}")
-        result = run(craft, train, test, progress=tell)
+        result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell)
     _folder(out)
     save_vehicle(craft, out / "vehicle.toml")
     write_log(train, out / "train.csv")
@@ -371,8 +424,12 @@ def main() -> None:
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
+    except _Stopped as stopped:
+        print(f"Stopped; nothing was written.{stopped}", file=sys.stderr, flush=True)
+        # The thread that works would be waited for.
+        os._exit(_STOPPED)
     except SystemExit as end:
         # what Typer makes of an interrupt, without a word
-        if end.code == 130:
+        if end.code == _STOPPED:
             print("Stopped; nothing was written.", file=sys.stderr)
         raise

@@ -1,9 +1,13 @@
 """The command line: help with examples, one sentence for what cannot be used, files as promised."""
 
+import _thread
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +16,7 @@ import pandas as pd
 import pytest
 
 import jaxmarine as jm
-from jaxmarine.cli import _say
+from jaxmarine.cli import _say, _stoppable, _Stopped
 from jaxmarine.examples import operator, recorded
 
 from .shell import exit_code
@@ -292,9 +296,72 @@ def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypat
         raise KeyboardInterrupt
 
     monkeypatch.setattr("jaxmarine.diagnosis.diagnose", stopped)
+    monkeypatch.setattr(os, "_exit", sys.exit)
     code, _, err = jaxmarine("demo", "--out", folder / "demo")
     assert code == 130 and err == "Stopped; nothing was written.\n"
     assert not (folder / "demo").exists()
+
+
+def test_ctrl_c_ends_a_running_program_at_once(folder):
+    """While it compiles or computes, which no Python handler interrupts."""
+    words = [
+        "diagnose",
+        "--vehicle",
+        "ship.toml",
+        "--train",
+        "dive.csv",
+        "--test",
+        "dive.csv",
+        "--out",
+        "new",
+    ]
+    program = f"import sys, jaxmarine.cli as c; sys.argv = ['jaxmarine', *{words}]; c.main()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", program],
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # A compiler of its own: programs from the cache might be done before they are stopped.
+        env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")},
+    )
+    assert running.stdout is not None
+    while "fitting" not in running.stdout.readline():
+        assert running.poll() is None
+    time.sleep(1.0)
+    stopped = time.monotonic()
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=30)
+    # Well under a second on an idle machine; other tests run beside this one.
+    assert time.monotonic() - stopped < 3.0
+    assert running.returncode == 130 and err == "Stopped; nothing was written.\n"
+    assert not (folder / "report").exists()
+
+
+def test_what_was_found_before_a_stop_is_said():
+    stop = threading.Event()
+
+    def work(tell):
+        tell("round 1: scoring")
+        tell("found thruster_lag")
+        _thread.interrupt_main()
+        stop.wait(10.0)
+
+    with pytest.raises(_Stopped, match=r"^ Found so far, not settled: thruster_lag\.$"):
+        _stoppable(work, lambda words: None)
+    stop.set()
+
+
+def test_a_log_that_cannot_be_used_is_left_out_of_several_and_named(jaxmarine, folder):
+    (folder / "late.csv").write_text("t,u\n0,1\n0,2\n")
+    vehicle = ("--vehicle", folder / "ship.toml")
+    code, out, err = jaxmarine("check", folder / "late.csv", folder / "dive.csv", *vehicle)
+    assert code == 0 and not err
+    assert out.startswith(f"Left out: {folder / 'late.csv'}: ")
+    alone = jaxmarine("check", folder / "dive.csv", *vehicle)[1]
+    assert out.splitlines()[1:] == alone.splitlines()
+    code, _, err = jaxmarine("check", folder / "late.csv", folder / "late.csv", *vehicle)
+    assert code == 2 and err.startswith(f"{folder / 'late.csv'}: ") and err.count("\n") == 1
 
 
 def test_a_line_of_results_stays_one_line_in_a_pipe(capsys):

@@ -7,6 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from .._precision import need_double
+from .._progress import Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
@@ -16,7 +17,6 @@ from ._kinematics import disagreement
 from ._knots import knots, missing_wrench
 from ._learn import learn
 from ._prepare import begun_with, moving, named_apart, rescaled, stuck, workbench
-from ._progress import Progress, silent
 from ._result import Diagnosis, Finding, Verdict
 from ._search import search
 from ._settle import settled

@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from .._errors import InputError
 from .._precision import need_double
+from .._progress import Progress, silent
 from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping
 from ..fitting import start_precision, wrapped
 from ..logs import Log
@@ -26,7 +27,6 @@ from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
 from ._model import base_coefficients
 from ._prepare import WINDOW, window_length
-from ._progress import Progress, silent
 from ._saturated import SaturatedPlant, saturate
 
 DT = 0.1  # [s] between samples of the manoeuvre

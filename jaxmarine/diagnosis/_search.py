@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .._progress import FOUND, Progress, silent
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._progress import Progress, silent
 from ._score import Reduced, savings, scatter, step_with, t_value
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
@@ -329,6 +329,7 @@ def search(
         if not accepted:
             break
         model, stats = trials[0].model, after
+        progress(FOUND + bench.layout.suspects[trials[0].member.suspect].label)
         if len(model.members) > 1 and hopeless(model):
             break
     return Found(model, stats, tuple(rounds))

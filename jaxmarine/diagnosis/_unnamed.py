@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 
+from .._progress import Progress
 from .._types import RATE, VELOCITY
 from ..logs import smooth_states
 from ..simulation import initial_state, simulate
@@ -13,7 +14,6 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._judge import Judged, judged
 from ._model import Model, Workbench
-from ._progress import Progress
 from ._search import MARGIN
 from ._settle import pruned
 from ._signals import Signals

@@ -1,12 +1,11 @@
 """Writes the report: everything or nothing."""
 
-import contextlib
 import json
 import os
 from pathlib import Path
 
 from .._errors import InputError
-from .._files import written_whole
+from .._files import write_together
 from ..diagnosis import Diagnosis
 from ._page import page
 from ._pictures import pictures
@@ -28,10 +27,7 @@ def write_report(diagnosis: Diagnosis, folder: str | os.PathLike[str]) -> Path:
         (folder / "figures").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made a folder for the report; check the path.") from error
-    # All are written beside their places before one moves; the page, first in, moves last.
-    with contextlib.ExitStack() as stack:
-        for name, content in files.items():
-            stack.enter_context(written_whole(folder / name)).write_bytes(content)
+    write_together(folder, files)
     return folder / "index.html"
 
 

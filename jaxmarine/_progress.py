@@ -4,6 +4,9 @@ from collections.abc import Callable
 
 Progress = Callable[[str], None]
 
+# How words begin that say what was found, before anything is settled.
+FOUND = "found "
+
 
 def silent(text: str) -> None:
     """Says nothing."""
