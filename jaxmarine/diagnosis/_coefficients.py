@@ -49,18 +49,22 @@ def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
     return chosen
 
 
-def settle(bench: Workbench, model: Model, phi: float) -> tuple[Model, bool, tuple[Round, ...]]:
+def settle(
+    bench: Workbench, model: Model, held: Sequence[Trial], phi: float
+) -> tuple[Model, bool, tuple[Round, ...]]:
     """The model with its few wrong coefficients as members and all others at the file's value.
 
     Or, where many have moved together and no one cause does the same, the model as it is: a recalibrated
     file. Returns which, and what was weighed in the place of wrong coefficients.
+
+    - `held`: what is worth most beside the model with the file held as it is.
     """
     chosen = _needed_changes(bench, model, phi)
     rounds: list[Round] = []
     if len(chosen) <= FEW:
         frozen = _with_changes(bench, model, chosen)
     else:
-        cause = _one_for_many(bench, model, len(chosen), phi)
+        cause = _one_for_many(bench, model, held, len(chosen), phi)
         if cause is None:
             return model, True, ()
         model, frozen, trials = cause
@@ -87,7 +91,7 @@ def _with_changes(bench: Workbench, model: Model, chosen: Sequence[int]) -> Mode
 
 
 def _one_for_many(
-    bench: Workbench, model: Model, many: int, phi: float
+    bench: Workbench, model: Model, held: Sequence[Trial], many: int, phi: float
 ) -> tuple[Model, Model, tuple[Trial, ...]] | None:
     """A cause that makes more coefficients superfluous than it has numbers, few being left, if there is one.
 
@@ -95,27 +99,20 @@ def _one_for_many(
     it nothing to explain. It is looked for beside the file held as it is. Returns the model with it, the same
     with what must change nevertheless and all else held, and all that was weighed.
     """
-    held = bench.refine(bench.frozen(bench.as_filed(model)))
-    if not np.isfinite(held.cost):
-        return None
     own = {c.label for c in bench.base}
-    trials = [t for t in weigh(bench, held, bench.screen(held)) if _label(bench, t.member) not in own]
+    trials = [t for t in held if bench.layout.suspects[t.member.suspect].label not in own]
     for trial in trials[:CHANCES]:
         free = bench.refine(dataclasses.replace(trial.model, frozen=False))
-        if not bench.stands(free, held):
+        if not bench.stands(free, trial.model):
             continue
         chosen = _needed_changes(bench, free, phi)
         simpler = (many - len(chosen)) * np.log(bench.samples) - penalty(bench, trial.member)
         if len(chosen) > FEW or simpler < 0:
             continue
         frozen = _with_changes(bench, free, chosen)
-        if bench.stands(frozen, held) and 2 * (frozen.cost - model.cost) / phi < simpler:
+        if bench.stands(frozen, trial.model) and 2 * (frozen.cost - model.cost) / phi < simpler:
             return free, frozen, (trial, *(t for t in trials if t is not trial))
     return None
-
-
-def _label(bench: Workbench, member: Member) -> str:
-    return bench.layout.suspects[member.suspect].label
 
 
 def _refitted(bench: Workbench, model: Model, before: float) -> Model:

@@ -63,11 +63,15 @@ class Round:
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Where the search ended."""
+    """Where the search ended.
+
+    - `held`: what was worth most in the end beside the model with the file held as it is.
+    """
 
     model: Model
     stats: Reduced
     rounds: tuple[Round, ...]
+    held: tuple[Trial, ...]
 
 
 def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
@@ -252,12 +256,6 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
     """The most promising suspects, each refitted beside what the model has, the best by evidence first."""
-    if not model.frozen and not bench.sound(model):
-        held = bench.refine(bench.frozen(bench.as_filed(model)))
-        if np.isfinite(held.cost):
-            # The file's coefficients bent until they mean nothing: what is true beside them does not show.
-            trials = weigh(bench, held, bench.screen(held), progress)
-            return _by_penalty(bench, _freed(bench, model, trials[:MORE]))
     progress(f"scoring {len(bench.layout.suspects)} suspects")
     ranked, begun = shortlist(bench, model, stats)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
@@ -274,6 +272,16 @@ def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = s
 
 def _by_penalty(bench: Workbench, trials: Sequence[Trial]) -> list[Trial]:
     return sorted(trials, key=lambda t: penalty(bench, t.member) - t.saved)
+
+
+def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress = silent) -> list[Trial]:
+    """What is worth most beside the model's members and the file held as it is, where that has bent far.
+
+    Free, the file's coefficients bend to what a cause does, and leave it nothing to explain.
+    """
+    held = bench.refine(bench.frozen(bench.as_filed(model)))
+    bent = 2 * (held.cost - model.cost) > PROBED * phi
+    return weigh(bench, held, bench.screen(held), progress) if bent and np.isfinite(held.cost) else []
 
 
 def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:
@@ -297,42 +305,58 @@ def search(
     """
     stats = bench.screen(model)
     rounds: list[Round] = []
+    held: list[Trial] = []
     while len(model.members) < MOST:
-        trials = weigh(bench, model, stats, lambda words: progress(f"round {len(rounds) + 1}: {words}"))
-        if not trials:
+
+        def tell(words: str, which: int = len(rounds) + 1) -> None:
+            progress(f"round {which}: {words}")
+
+        trials = weigh(bench, model, stats, tell) if bench.sound(model) else []
+        decided = _decided(bench, model, stats, trials)
+        if decided is None:
+            phi = dispersion(bench, model, stats)
+            if trials:
+                rounds.append(Round(_once(trials), False, phi))
+            held = beside_file(bench, model, phi, tell)
+            decided = _decided(bench, model, stats, _by_penalty(bench, _freed(bench, model, held[:MORE])))
+        if decided is None:
             break
-        # The best may rest on a few windows, as one does that acts throughout in the place of one that
-        # begins: then those that save nearly as much are looked at too.
-        rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
-        accepted, after, phi = False, stats, 1.0
-        for trial in [trials[0], *rivals[: CHANCES - 1]]:
-            exact = bench.refine(trial.model)
-            if not bench.stands(exact, model):
-                continue
-            winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
-            after = bench.screen(exact)
-            phi = dispersion(bench, exact, after)
-            accepted = significant(bench, winner, stats, after, phi)
-            if accepted:
-                others = [t for t in trials if t is not trial]
-                trials = _by_evidence(bench, model, winner, others, phi)
-                if trials[0] is not winner:
-                    # By the evidence, which knows how far the scores scatter, another one was better.
-                    stats_of = bench.screen(trials[0].model)
-                    phi_of = dispersion(bench, trials[0].model, stats_of)
-                    if significant(bench, trials[0], stats, stats_of, phi_of):
-                        after, phi = stats_of, phi_of
-                    else:
-                        trials = [winner, *(t for t in trials if t is not winner)]
-                break
-        rounds.append(Round(_once(trials), accepted, phi))
-        if not accepted:
-            break
-        model, stats = trials[0].model, after
-        progress(FOUND + bench.layout.suspects[trials[0].member.suspect].label)
+        one, stats = decided
+        rounds.append(one)
+        model = one.trials[0].model
+        progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
         if len(model.members) > 1 and hopeless(model):
             break
-    return Found(model, stats, tuple(rounds))
+    return Found(model, stats, tuple(rounds), tuple(held))
+
+
+def _decided(
+    bench: Workbench, model: Model, stats: Reduced, trials: Sequence[Trial]
+) -> tuple[Round, Reduced] | None:
+    """The round that a significant one of the best trials wins, and the statistics of its model."""
+    # The best may rest on a few windows, as one does that acts throughout in the place of one that begins:
+    # then those that save nearly as much are looked at too.
+    rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
+    for trial in [*trials[:1], *rivals[: CHANCES - 1]]:
+        exact = bench.refine(trial.model)
+        if not bench.stands(exact, model):
+            continue
+        winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
+        after = bench.screen(exact)
+        phi = dispersion(bench, exact, after)
+        if not significant(bench, winner, stats, after, phi):
+            continue
+        others = [t for t in trials if t is not trial]
+        ranked = _by_evidence(bench, model, winner, others, phi)
+        if ranked[0] is not winner:
+            # By the evidence, which knows how far the scores scatter, another one was better.
+            stats_of = bench.screen(ranked[0].model)
+            phi_of = dispersion(bench, ranked[0].model, stats_of)
+            if significant(bench, ranked[0], stats, stats_of, phi_of):
+                return Round(_once(ranked), True, phi_of), stats_of
+            ranked = [winner, *(t for t in ranked if t is not winner)]
+        return Round(_once(ranked), True, phi), after
+    return None
 
 
 def _by_evidence(

@@ -7,7 +7,18 @@ import numpy as np
 
 from ._coefficients import settle
 from ._model import Beginning, Model, Workbench
-from ._search import FEW_STEPS, ROUGH, STEPS, Found, Round, dispersion, needed, own_dispersion, penalty
+from ._search import (
+    FEW_STEPS,
+    ROUGH,
+    STEPS,
+    Found,
+    Round,
+    beside_file,
+    dispersion,
+    needed,
+    own_dispersion,
+    penalty,
+)
 from ._worth import gain_at_home
 
 HARMS = 0.95  # a member goes where predictions without it have less than this share of the error
@@ -90,8 +101,9 @@ def settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, .
 
     And all that was weighed, in the search and in the place of single coefficients.
     """
-    phi = dispersion(bench, found.model, found.stats)
-    model, dense, more = settle(bench, pruned(bench, found.model), phi)
+    phi, model = dispersion(bench, found.model, found.stats), pruned(bench, found.model)
+    held = found.held if model is found.model else beside_file(bench, model, phi)
+    model, dense, more = settle(bench, model, held, phi)
     model = _beginnings_refined(bench, model)
     phi = dispersion(bench, model, bench.screen(model))
     rounds = found.rounds + more

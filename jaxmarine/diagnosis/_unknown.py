@@ -149,8 +149,8 @@ def _left_out(
         seen = x[rest].reshape(-1, count + 1)
         weighted = (seen * weight[rest].reshape(-1, 1)).T
         h, g = weighted @ seen, weighted @ y[rest].ravel()
-        for one, ridge in zip(out, RIDGES, strict=True):
-            one[left] = x[left] @ np.linalg.solve(h + ridge * pull, g)
+        for i, ridge in enumerate(RIDGES):
+            out[i, left] = x[left] @ np.linalg.solve(h + ridge * pull, g)
     return out
 
 
