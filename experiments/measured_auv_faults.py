@@ -29,6 +29,7 @@ import optimistix as optx
 import pandas as pd
 import typer
 from jaxtyping import Array, Float, Int
+from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 from statsmodels.stats.proportion import proportion_confint
 
@@ -82,7 +83,7 @@ PRIOR = {
     "gain, slight": (1.0, 0.2),
     "gain, bad": (1.0, 0.2),
     "depth bias": (0.0, 0.2),  # m, PressureGain_constant
-    # N/kg, in all runs alike: what holds the vehicle at the surface, water set in motion, all that is missing.
+    # N/kg, in all runs alike: what holds it at the surface, water set in motion, all that is missing.
     **{f"force at {t:g} s": (0.0, 1.0 if t < 1.0 else 0.2) for t in KNOTS},
 }
 NAMES = tuple(PRIOR)
@@ -334,7 +335,7 @@ def covariance(log_scatter: Float[Array, " scatters"], model: Linear) -> Float[A
     gap = np.abs(TIMES[:, None] - TIMES)
     wave = s["start depth"] ** 2 + s["depth wave"] ** 2 * jnp.exp(-gap / WAVE_TIME)
     samples = jnp.full_like(model.residual, float(BLOCK)).at[:, 0].set(model.before)
-    noise = (s["depth noise"] ** 2 / samples)[:, :, None] * jnp.eye(BLOCKS + 1)
+    noise = (s["depth noise"] ** 2 / samples)[:, :, None] * jnp.eye(BLOCKS + 1)[None]
     return own + fast + wave[None] + noise
 
 
@@ -470,9 +471,24 @@ def log_evidence(
     return np.stack(scores, axis=1)
 
 
-def probabilities(log_p: Float[np.ndarray, "runs states"]) -> Float[np.ndarray, "runs states"]:
-    """Posterior probabilities; all states are as likely beforehand."""
-    return np.exp(log_softmax(log_p, axis=1))
+def probabilities(
+    log_p: Float[np.ndarray, "runs states"], trust: float = 1.0
+) -> Float[np.ndarray, "runs states"]:
+    """Posterior probabilities; all states are as likely beforehand. `trust`: power of the evidence."""
+    return np.exp(log_softmax(trust * log_p, axis=1))
+
+
+def trust_in(log_p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"]) -> float:
+    """The power of the evidence of least log loss, at most 1: what the model is off by makes it too sure.
+
+    Source: temperature scaling; Guo, Pleiss, Sun and Weinberger (2017), On calibration of modern neural
+    networks.
+    """
+
+    def loss(trust: float) -> float:
+        return -float(log_softmax(trust * log_p, axis=1)[np.arange(len(state)), state].mean())
+
+    return float(minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded").x)
 
 
 @eqx.filter_jit
@@ -548,15 +564,12 @@ def judged(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"],
         "brier": ((p - np.eye(p.shape[1])[state]) ** 2).sum(axis=1),
         "surprise": -told + (p * np.log(np.maximum(p, 1e-12))).sum(axis=1),
     }
-    rng = np.random.default_rng(0)
-    members = [np.flatnonzero(session == number) for number in np.unique(session)]
-    draws = [
-        np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))])
-        for _ in range(2000)
-    ]
+    _, member = np.unique(session, return_inverse=True)
+    sizes = np.bincount(member)
+    times = np.random.default_rng(0).multinomial(len(sizes), np.full(len(sizes), 1.0 / len(sizes)), 2000)
     out: dict[str, Any] = {"runs": len(p)}
     for name, values in per_run.items():
-        means = [values[draw].mean() for draw in draws]
+        means = (times @ np.bincount(member, values)) / (times @ sizes)
         out[name] = [float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist()]
     sure = p.max(axis=1) > CONFIDENT
     right = int(per_run["accuracy"][sure].sum())
@@ -608,6 +621,7 @@ def markdown(results: dict[str, Any]) -> str:
         lines += ["", f"| {name}: true \\ likeliest | " + " | ".join(SHORT) + " |", "|---" * 6 + "|"]
         rows = zip(SHORT, results["scores"][name]["confusion"], strict=True)
         lines += [f"| {label} | " + " | ".join(map(str, row)) + " |" for label, row in rows]
+    lines += ["", f"Power of the evidence, from training runs left out: {results['trust']:.2f}"]
     lines += ["", "| parameter | value | standard deviation |", "|---|---|---|"]
     lines += [f"| {name} | {value:.3f} | {std:.3f} |" for name, (value, std) in results["parameters"].items()]
     lines += ["", "| scatter | value |", "|---|---|"]
@@ -676,8 +690,9 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
     start = jm.load_vehicle(HERE / "haizhe.toml")
     fit = fitted(start, train, of_train, rounds, steps)
 
-    p_test = probabilities(log_evidence(fit, test))
-    p_train = probabilities(log_evidence(fit, train, of_train))
+    raw_test, raw_train = log_evidence(fit, test), log_evidence(fit, train, of_train)
+    trust = trust_in(raw_train, train.state)
+    p_test, p_train = probabilities(raw_test, trust), probabilities(raw_train, trust)
     level = by_level(train, test)
     shared = (test.level >= SHARED_LEVELS[0]) & (test.level <= SHARED_LEVELS[1])
     told = {
@@ -688,11 +703,12 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
     answers = {
         MODEL: (p_test, test.state, of_test),
         "model, test, its session left out": (
-            probabilities(log_evidence(fit, test, seen)),
+            probabilities(log_evidence(fit, test, seen), trust),
             test.state,
             of_test,
         ),
         LEFT_OUT: (p_train, train.state, of_train),
+        "model, test, evidence taken in full": (probabilities(raw_test), test.state, of_test),
         "chance": (np.full_like(p_test, 0.2), test.state, of_test),
         "start depth alone, test": (probabilities(by_start(train, test)), test.state, of_test),
         LEVEL: (probabilities(level), test.state, of_test),
@@ -723,7 +739,7 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
         one = float(np.median(train.level))
         blind = fitted(start, train.at_one_level(one), of_train, rounds, steps)
         answers["model without the command, test"] = (
-            probabilities(log_evidence(blind, test.at_one_level(one))),
+            probabilities(log_evidence(blind, test.at_one_level(one)), trust),
             test.state,
             of_test,
         )
@@ -736,6 +752,7 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
             zip(NAMES, np.column_stack([fit.theta + move, np.diag(cov) ** 0.5]).tolist(), strict=True)
         ),
         "scatter": dict(zip(SCATTER, np.exp(fit.log_scatter).tolist(), strict=True)),
+        "trust": trust,
         "sessions": {label: len(np.unique(of_train[train.state == k])) for k, label in enumerate(STATES)},
         "test_probabilities": p_test.tolist(),
         "test_states": test.state.tolist(),
