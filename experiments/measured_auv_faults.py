@@ -64,6 +64,8 @@ VOLTS = 12.0  # [V] at which thrust is that of the file
 PAUSE = 600.0  # [s] without a run: what follows is another session, with a fresh battery or another trim
 KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0])  # [s] of forces over time
 WAVE_TIME = 0.6  # [s] over which errors of the depth that are no motion are alike
+GROUND = 0.78  # [m] runs that go down to some 0.82 m stay there: the floor of the tank, which is no heave
+UNSEEN = 10.0  # [m] noise of an observation that is not used
 CHUNK = 32  # simulations at once: one shape, one compilation
 CONFIDENT = 0.9
 SHARED_LEVELS = (1198.0, 1202.0)  # [µs] commands that all states but AddWeight have in common
@@ -147,7 +149,8 @@ class Runs:
 
     - `state`: index into `STATES`; `clock` [s] of the day at which a run began.
     - `command` [µs]: of the last sample before the start and of all later ones.
-    - `depth` [m]: mean before the start (over `before` samples), then means of blocks.
+    - `depth` [m]: mean before the start, then means of blocks; `samples`: how many there are in each, 0
+      from the block on that is near the ground. What is before it does not know what comes.
     - `volts`: mean of the battery's voltage.
     """
 
@@ -155,7 +158,7 @@ class Runs:
     clock: Float[np.ndarray, " runs"]
     command: Float[np.ndarray, "runs samples"]
     depth: Float[np.ndarray, "runs observations"]
-    before: Float[np.ndarray, " runs"]
+    samples: Float[np.ndarray, "runs observations"]
     volts: Float[np.ndarray, " runs"]
 
     def __getitem__(self, rows: Any) -> "Runs":
@@ -187,6 +190,8 @@ def read(data: Path, part: str) -> Runs:
             command, depth = run["pwm1"].to_numpy(float), run["depth"].to_numpy(float)
             start = int((command > IDLE).argmax())
             used = slice(start, start + BLOCK * BLOCKS)
+            blocks = depth[used].reshape(BLOCKS, BLOCK).mean(axis=1)
+            above = np.logical_and.accumulate(blocks < GROUND)
             hours, rest = divmod(int(run["time"].iloc[0]), 10_000)
             minutes, seconds = divmod(rest, 100)
             rows.append(
@@ -194,8 +199,8 @@ def read(data: Path, part: str) -> Runs:
                     state,
                     3600.0 * hours + 60.0 * minutes + seconds,
                     np.append(IDLE, command[used]),
-                    np.append(depth[:start].mean(), depth[used].reshape(BLOCKS, BLOCK).mean(axis=1)),
-                    float(start),
+                    np.append(depth[:start].mean(), blocks),
+                    np.append(start, BLOCK * above).astype(float),
                     run["voltage"].to_numpy(float)[used].mean(),
                 )
             )
@@ -297,7 +302,7 @@ class Linear:
     residual: Float[Array, "runs observations"]
     by_theta: Float[Array, "runs observations parameters"]
     by_speed: Float[Array, "runs observations"]
-    before: Float[Array, " runs"]
+    samples: Float[Array, "runs observations"]
 
     @property
     def by_force(self) -> Float[Array, "runs observations knots"]:
@@ -317,7 +322,7 @@ def linear(start: jm.Vehicle, theta: Theta, runs: Runs, state: Int[np.ndarray, "
     # Thrust goes with a power of the voltage; so small a change of it is linear in the thrust's logarithm.
     slope[:, :, VOLTAGE] = slope[:, :, LOG_THRUST] * np.log(runs.volts / VOLTS)[:, None]
     depth = depth + theta[VOLTAGE] * slope[:, :, VOLTAGE]
-    parts = runs.depth - depth, slope[:, :, :-1], slope[:, :, -1], runs.before
+    parts = runs.depth - depth, slope[:, :, :-1], slope[:, :, -1], runs.samples
     return Linear(*map(jnp.asarray, parts))
 
 
@@ -334,8 +339,9 @@ def covariance(log_scatter: Float[Array, " scatters"], model: Linear) -> Float[A
     fast = s["start speed"] ** 2 * model.by_speed[:, :, None] * model.by_speed[:, None, :]
     gap = np.abs(TIMES[:, None] - TIMES)
     wave = s["start depth"] ** 2 + s["depth wave"] ** 2 * jnp.exp(-gap / WAVE_TIME)
-    samples = jnp.full_like(model.residual, float(BLOCK)).at[:, 0].set(model.before)
-    noise = (s["depth noise"] ** 2 / samples)[:, :, None] * jnp.eye(BLOCKS + 1)[None]
+    used = model.samples > 0
+    variance = jnp.where(used, s["depth noise"] ** 2 / jnp.where(used, model.samples, 1.0), UNSEEN**2)
+    noise = variance[:, :, None] * jnp.eye(BLOCKS + 1)[None]
     return own + fast + wave[None] + noise
 
 
@@ -512,11 +518,9 @@ def simulated(fit: Fitted, runs: Runs, rng: np.random.Generator) -> Runs:
     speed = s["start speed"] * rng.standard_normal(count)
     clean = _simulated(fit.start, *map(jnp.asarray, (theta, speed, own, runs.state, runs.command)))
     wave = s["depth wave"] ** 2 * np.exp(-np.abs(TIMES[:, None] - TIMES) / WAVE_TIME)
-    samples = np.full((count, BLOCKS + 1), float(BLOCK))
-    samples[:, 0] = runs.before
     off = rng.multivariate_normal(np.zeros(BLOCKS + 1), wave, count)
     off += s["start depth"] * rng.standard_normal((count, 1))
-    off += s["depth noise"] * rng.standard_normal(samples.shape) / np.sqrt(samples)
+    off += s["depth noise"] * rng.standard_normal(off.shape) / np.sqrt(np.maximum(runs.samples, 1.0))
     return dataclasses.replace(runs, depth=np.asarray(clean) + off)
 
 
@@ -720,8 +724,22 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
             of_test[shared],
         ),
         "model, test, three groups": (merged(p_test), GROUPS[test.state], of_test),
+        "command level alone, test, three groups": (
+            merged(probabilities(level)),
+            GROUPS[test.state],
+            of_test,
+        ),
         "model, training runs left out, three groups": (merged(p_train), GROUPS[train.state], of_train),
     }
+
+    # Given that the propellers are all that is in question, is anything known of them?
+    alike = GROUPS[test.state] == 0
+    among = p_test[alike][:, np.flatnonzero(GROUPS == 0)]
+    answers["model, test, normal and damaged among themselves"] = (
+        among / among.sum(axis=1, keepdims=True),
+        np.searchsorted(np.flatnonzero(GROUPS == 0), test.state[alike]),
+        of_test[alike],
+    )
 
     # Does the level of the command leak? Simulated, with levels dealt out to the states at random; and as
     # measured, with every run fitted and scored as if it had had the same command.

@@ -59,7 +59,7 @@ def _drawn(known: auv.Fitted, count: int, seed: int) -> auv.Runs:
         clock=np.zeros(count),
         command=command,
         depth=np.zeros((count, auv.BLOCKS + 1)),
-        before=np.full(count, 3.0),
+        samples=np.full((count, auv.BLOCKS + 1), float(auv.BLOCK)),
         volts=rng.uniform(11.6, 12.2, count),
     )
     return auv.simulated(known, blank, rng)
@@ -133,7 +133,7 @@ def test_sessions_part_where_the_state_changes_or_time_passes():
     runs = auv.Runs(
         state=np.array([0, 0, 0, 1, 1]),
         clock=np.array([5000.0, 100.0, 500.0, 600.0, 7000.0]),
-        **dict.fromkeys(("command", "depth", "before", "volts"), np.zeros(5)),
+        **dict.fromkeys(("command", "depth", "samples", "volts"), np.zeros(5)),
     )
     np.testing.assert_array_equal(auv.sessions(runs), [1, 0, 0, 2, 3])
 
@@ -143,7 +143,7 @@ def test_files_are_cut_from_the_start_on_and_averaged(tmp_path):
         count = 200
         table = pd.DataFrame({"run": label, "i": range(count), "time": 162703 + k})
         table["pwm1"] = np.where(np.arange(count) < 3, 1100, 1190 + k)
-        table["depth"] = np.where(np.arange(count) < 3, 0.1, np.arange(count) - 3.0)
+        table["depth"] = np.where(np.arange(count) < 3, 0.1, (np.arange(count) - 3.0) / 100)
         table["voltage"] = 11.9
         table.to_csv(tmp_path / f"train_{label}.csv.gz", index=False)
     runs = auv.read(tmp_path, "train")
@@ -151,9 +151,18 @@ def test_files_are_cut_from_the_start_on_and_averaged(tmp_path):
     np.testing.assert_array_equal(runs.clock, 16 * 3600 + 27 * 60 + 3 + np.arange(5))
     np.testing.assert_array_equal(runs.level, 1190 + np.arange(5))
     np.testing.assert_array_equal(runs.command[:, 0], auv.IDLE)
-    # Before the start 0.1; then means of 0 to 3, 4 to 7, ...
-    np.testing.assert_allclose(runs.depth[2], [0.1, *(1.5 + 4.0 * np.arange(45))])
-    np.testing.assert_array_equal(runs.before, 3.0)
+    # Before the start 0.1; then means of 0 to 0.03, 0.04 to 0.07, ... From 0.78 m on the ground is near.
+    np.testing.assert_allclose(runs.depth[2], [0.1, *(0.015 + 0.04 * np.arange(45))])
+    np.testing.assert_array_equal(runs.samples[2], [3.0] + 20 * [4.0] + 25 * [0.0])
+
+
+def test_what_may_lie_on_the_ground_is_not_evidence(known, runs):
+    some = runs[:5]
+    cut = dataclasses.replace(some, samples=some.samples * (np.arange(auv.BLOCKS + 1) < 20))
+    wild = dataclasses.replace(cut, depth=np.where(cut.samples > 0, cut.depth, 0.82))
+    one, other = (auv.probabilities(auv.log_evidence(known, these)) for these in (cut, wild))
+    np.testing.assert_allclose(one, other, atol=2e-3)
+    assert np.abs(one - auv.probabilities(auv.log_evidence(known, some))).max() > 0.01
 
 
 def test_scores_are_those_worked_by_hand():
