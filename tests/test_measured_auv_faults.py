@@ -110,10 +110,10 @@ def test_the_evidence_knows_no_usual_command(known, runs, posterior):
     assert guess["log_loss"][0] > np.log(5.0) > model["log_loss"][2]
 
 
-def test_slopes_and_covariance_are_those_of_the_simulation(known):
-    """Of 800 runs drawn with the simulation, against the linear model."""
-    some = _drawn(known, 5, seed=2)
-    many = some[np.repeat([1], 800)]
+def test_slopes_and_covariance_are_those_of_the_simulation(known, runs):
+    """Of 400 runs drawn with the simulation, against the linear model."""
+    some = runs[:5]
+    many = some[np.repeat([1], 400)]
     drawn = auv.simulated(known, many, np.random.default_rng(3)).depth
     model = auv.linear(known.start, known.theta, some[1:2], some.state[1:2])
     mean, cov = known.posterior()
@@ -190,7 +190,7 @@ def test_the_quick_study_is_better_than_chance_and_not_too_sure(shared, tmp_path
 
     results = json.loads((tmp_path / "results.json").read_text())
     scores = results["scores"]
-    assert scores[auv.MODEL]["runs"] == 25
+    assert scores[auv.MODEL]["runs"] == 15
     assert scores[auv.MODEL]["log_loss"][0] < np.log(5.0)
     assert scores["chance"]["log_loss"][0] == pytest.approx(np.log(5.0))
     # The offset that was put in is about 0.1 m.
