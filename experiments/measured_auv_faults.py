@@ -494,7 +494,8 @@ def trust_in(log_p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " r
     def loss(trust: float) -> float:
         return -float(log_softmax(trust * log_p, axis=1)[np.arange(len(state)), state].mean())
 
-    return float(minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded").x)
+    found: Any = minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded")
+    return float(found.x)
 
 
 @eqx.filter_jit
@@ -555,6 +556,11 @@ def confusion(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs
     return out.tolist()
 
 
+def wilson(hits: int, count: int) -> list[float]:
+    """Wilson's interval of a share, 95 %."""
+    return np.asarray(proportion_confint(hits, count, method="wilson"), float).tolist()
+
+
 def judged(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"], session) -> dict[str, Any]:
     """Accuracy, log loss [nats], Brier score (0 to 2) and calibration, with 95 % intervals.
 
@@ -577,9 +583,9 @@ def judged(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"],
         out[name] = [float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist()]
     sure = p.max(axis=1) > CONFIDENT
     right = int(per_run["accuracy"][sure].sum())
-    low, high = proportion_confint(right, max(int(sure.sum()), 1), method="wilson")
+    bounds = wilson(right, max(int(sure.sum()), 1))
     out |= {"inconclusive": float(1.0 - sure.mean()), "confident": int(sure.sum()), "confident_right": right}
-    return out | {"confident_right_share_95": [float(low), float(high)], "confusion": confusion(p, state)}
+    return out | {"confident_right_share_95": bounds, "confusion": confusion(p, state)}
 
 
 def merged(p: Float[np.ndarray, "runs states"]) -> Float[np.ndarray, "runs groups"]:
@@ -598,9 +604,9 @@ def reliability(
         inside = (told >= low) & ((told < high) | (high == 1.0))
         if inside.any():
             hits, count = int(true[inside].sum()), int(inside.sum())
-            bounds = proportion_confint(hits, count, method="wilson")
+            low_true, high_true = wilson(hits, count)
             out.append({"told": float(told[inside].mean()), "true": hits / count, "count": count})
-            out[-1] |= {"low": float(bounds[0]), "high": float(bounds[1])}
+            out[-1] |= {"low": low_true, "high": high_true}
     return out
 
 
@@ -741,19 +747,22 @@ def studied(data: Path, out: Path, quick: bool) -> dict[str, Any]:
         of_test[alike],
     )
 
-    # Does the level of the command leak? Simulated, with levels dealt out to the states at random; and as
-    # measured, with every run fitted and scored as if it had had the same command.
-    rng = np.random.default_rng(0)
-    dealt = dataclasses.replace(train, command=rng.permutation(train.command))
-    for name, runs in (("", simulated(fit, train, rng)), (", levels dealt out", simulated(fit, dealt, rng))):
-        singles = np.arange(len(runs.state))
-        answers["model, simulated" + name] = (probabilities(log_evidence(fit, runs)), runs.state, singles)
-        answers["command level alone, simulated" + name] = (
-            probabilities(by_level(train, runs)),
-            runs.state,
-            singles,
-        )
     if not quick:
+        # Does the level of the command leak? Simulated, with levels dealt out to the states at random; and as
+        # measured, with every run fitted and scored as if it had had the same command.
+        rng = np.random.default_rng(0)
+        dealt = dataclasses.replace(train, command=rng.permutation(train.command))
+        for name, runs in (
+            ("", simulated(fit, train, rng)),
+            (", levels dealt out", simulated(fit, dealt, rng)),
+        ):
+            singles = np.arange(len(runs.state))
+            answers["model, simulated" + name] = (probabilities(log_evidence(fit, runs)), runs.state, singles)
+            answers["command level alone, simulated" + name] = (
+                probabilities(by_level(train, runs)),
+                runs.state,
+                singles,
+            )
         one = float(np.median(train.level))
         blind = fitted(start, train.at_one_level(one), of_train, rounds, steps)
         answers["model without the command, test"] = (
@@ -785,7 +794,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for results, tables and figures.")],
     data: Annotated[Path, typer.Option(help="Folder with the measured runs.")] = DATA,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A tenth of the training runs, a fifth of the others, few steps.")
+        bool, typer.Option("--quick", help="A tenth of the training runs, a fifth of the others, no controls.")
     ] = False,
 ) -> None:
     """Tells the states of measured dives apart, and measures with what right."""
