@@ -794,7 +794,8 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for results, tables and figures.")],
     data: Annotated[Path, typer.Option(help="Folder with the measured runs.")] = DATA,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A tenth of the training runs, a fifth of the others, no controls.")
+        bool,
+        typer.Option("--quick", help="A tenth of the training runs, a fifth of the others, no controls."),
     ] = False,
 ) -> None:
     """Tells the states of measured dives apart, and measures with what right."""
