@@ -15,7 +15,7 @@ from ._judge import judged
 from ._kinematics import disagreement
 from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._prepare import begun_with, moving, named_apart, rescaled, stuck, workbench
+from ._prepare import begun_with, moving, named_apart, rescaled, stuck, without_accidents, workbench
 from ._progress import Progress, silent
 from ._result import Diagnosis, Finding, Verdict
 from ._search import search
@@ -54,6 +54,8 @@ def diagnose(
     logs, test, doubled = named_apart(logs, test)
     notes += doubled
     moving(logs)
+    logs, test, rejected, told = without_accidents(vehicle, logs, test)
+    notes += told
     bench = workbench(vehicle, logs, catalogue, window)
     notes += stuck(bench)
     if test.duration < LEAST:
@@ -159,4 +161,5 @@ def diagnose(
         train=tuple(log.name for log in logs),
         test=test.name,
         notes=tuple(dict.fromkeys(notes)),
+        rejected=rejected,
     )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from .._errors import InputError
 from .._types import CHANNELS
-from ..fitting import cut, noise_of
+from ..fitting import Rejected, clock_note, cut, noise_of, without_dirt
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle
@@ -99,6 +99,25 @@ def moving(logs: Sequence[Log]) -> None:
     if measured.size and (np.nanmax(measured, axis=0) == np.nanmin(measured, axis=0)).all():
         names = ", ".join(log.name for log in logs)
         raise InputError(f"{names}: no channel ever changes; use a log in which the vehicle moves.")
+
+
+def without_accidents(
+    vehicle: Vehicle, logs: Sequence[Log], test: Log
+) -> tuple[tuple[Log, ...], Log, tuple[Rejected, ...], list[str]]:
+    """The logs without their dirty stretches, these, and notes on them and on clocks that differ.
+
+    The test log is judged as it is, unless it is one of the training logs.
+    """
+    out, rejected, notes = [], [], []
+    for log in logs:
+        kept, dirty, told = without_dirt(vehicle, log)
+        offset = clock_note(vehicle, kept)
+        out.append(kept)
+        rejected += dirty
+        notes += told if offset is None else [*told, offset]
+        if test.name == log.name:
+            test = kept
+    return tuple(out), test, tuple(rejected), notes
 
 
 def stuck(bench: Workbench) -> list[str]:

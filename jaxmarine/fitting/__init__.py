@@ -21,6 +21,11 @@ from ._check import (
 from ._check import (
     sparkline as sparkline,
 )
+from ._clock import ClockOffset as ClockOffset
+from ._clock import clock_note as clock_note
+from ._clock import clock_offset as clock_offset
+from ._dirty import Rejected as Rejected
+from ._dirty import without_dirt as without_dirt
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit

@@ -119,6 +119,11 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
     return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))
 
 
+def _longest(t: np.ndarray, seen: np.ndarray) -> float:
+    """The longest time in a window without a measurement [s]; its ends count as measured."""
+    return float(np.diff(np.concatenate([t[:1], t[seen], t[-1:]])).max())
+
+
 def cut(
     vehicle: Vehicle,
     logs: Sequence[Log],
@@ -130,7 +135,7 @@ def cut(
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
 
     The first begins where the thrusters have forgotten what they were told before the log. None spans a
-    gap of more than five samples.
+    gap of more than five samples, be it that rows or that all channels of the rows are missing.
 
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
@@ -176,15 +181,17 @@ def cut(
         records["velocity"].append(pad(track.nu))
         records["segment"].append(pad(segment))
 
-        usable = np.isfinite(log.channels) & np.isfinite(noise) & free
+        usable: np.ndarray = np.isfinite(log.channels) & np.isfinite(noise) & free
         weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
         # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
         steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
         weight[steep, 3] = weight[steep, 5] = 0.0
         measured = np.where(usable, log.channels, 0.0)
+        seen = np.any(usable, axis=1)
+        usual = float(np.median(np.diff(t[seen]))) if np.count_nonzero(seen) > 1 else dt
         for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
             here = slice(first, first + size)
-            if np.diff(t[here]).max() > 5.5 * dt:
+            if np.diff(t[here]).max() > 5.5 * dt or _longest(t[here], seen[here]) > 5.5 * usual:
                 continue
             parts["log"].append(g)
             parts["step"].append(np.arange(first, first + size))

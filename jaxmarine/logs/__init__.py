@@ -1,5 +1,6 @@
 """Recordings: reading, checking, noise and a first guess of the motion."""
 
+from ._clean import clean as clean
 from ._columns import ColumnMap as ColumnMap
 from ._columns import ColumnSource as ColumnSource
 from ._columns import read_columns as read_columns

@@ -42,7 +42,7 @@ def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
     by dividing by their norm. The median over the log is insensitive to jumps and outliers.
     Noise that is correlated from one sample to the next is only seen in part.
     """
-    jumps = _command_jumps(log)
+    jumps = command_jumps(log)
     noise = np.full(len(CHANNELS), np.nan)
     for index, name in enumerate(CHANNELS):
         finite = np.isfinite(log.channels[:, index])
@@ -69,7 +69,7 @@ def _noise(t: np.ndarray, values: np.ndarray, jumps: np.ndarray) -> float:
         changes = np.diff(values)
     if len(values) < max(_SPANS):
         return max(float(np.std(values)), _FINEST)
-    floor = max(_FINEST, _FINEST_SHARE * float(np.median(np.abs(changes))), _resolution(values))
+    floor = max(_FINEST, _FINEST_SHARE * float(np.median(np.abs(changes))), resolution(values))
     # With commands that change all the time no neighbourhood is without a jump.
     found = _difference_noises(t, values, jumps) or _difference_noises(t, values, jumps[:0])
     return max(floor, min(found))
@@ -100,7 +100,7 @@ def _difference_noise(times: np.ndarray, samples: np.ndarray) -> float:
     return _MAD_TO_STD * float(np.median(np.abs(np.sum(weights * samples, axis=1))))
 
 
-def _resolution(values: np.ndarray) -> float:
+def resolution(values: np.ndarray) -> float:
     """Rounding noise of a coarse sensor, step / sqrt(12); zero where the samples hardly repeat."""
     levels = np.unique(values)
     if len(levels) < 2 or len(levels) > len(values) / 2:
@@ -108,7 +108,7 @@ def _resolution(values: np.ndarray) -> float:
     return float(np.median(np.diff(levels))) / np.sqrt(12)
 
 
-def _command_jumps(log: Log) -> np.ndarray:
+def command_jumps(log: Log) -> np.ndarray:
     """Times just before the samples at which a command or the wrench is a new one [s]."""
     drive = log.commands if log.commands is not None else log.wrench
     assert drive is not None

@@ -10,6 +10,7 @@ import pandas as pd
 from .._errors import InputError
 from .._files import listed
 from .._types import ATTITUDE, CHANNELS, WRENCH
+from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
@@ -36,8 +37,8 @@ def read_log(
     - `columns`: where a foreign file keeps the columns of the contract, in which units and axes: a
       `ColumnMap` or the path of its TOML file. What holds messages needs one.
 
-    What is ignored or repaired stands in the log's `notes`; what cannot be used raises `InputError` with one
-    sentence.
+    Spikes and dropouts count as missing (`clean`). What is ignored or repaired stands in the log's `notes`;
+    what cannot be used raises `InputError` with one sentence.
     """
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_columns(columns)
@@ -50,7 +51,7 @@ def read_log(
     _check_motion(file, channels, vehicle.dof)
     commands, wrench = _drive(file, vehicle)
     file.note_ignored()
-    return Log(
+    log = Log(
         t=t,
         channels=channels,
         commands=commands,
@@ -59,6 +60,7 @@ def read_log(
         name="DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name,
         notes=tuple(file.notes),
     )
+    return clean(log)
 
 
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:
