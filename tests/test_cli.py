@@ -315,7 +315,11 @@ def test_ctrl_c_ends_a_running_program_at_once(folder):
         "--out",
         "new",
     ]
-    program = f"import sys, jaxmarine.cli as c; sys.argv = ['jaxmarine', *{words}]; c.main()"
+    # A shell has what it runs in the background ignore Ctrl-C, which is inherited.
+    program = (
+        "import signal, sys, jaxmarine.cli as c; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        f"sys.argv = ['jaxmarine', *{words}]; c.main()"
+    )
     running = subprocess.Popen(
         [sys.executable, "-c", program],
         cwd=folder,
@@ -338,8 +342,10 @@ def test_ctrl_c_ends_a_running_program_at_once(folder):
     assert not (folder / "report").exists()
 
 
-def test_what_was_found_before_a_stop_is_said():
+def test_what_was_found_before_a_stop_is_said(request):
     stop = threading.Event()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
 
     def work(tell):
         tell("round 1: scoring")
