@@ -239,11 +239,11 @@ def casadi_rates(ca: Any, model: Model, state: Any, tau: Any) -> Any:
     return ca.vertcat(turn @ nu[:3], spin, model.inverse @ force)
 
 
-def casadi_step(ca: Any, model: Model, state: Any, tau: Any) -> Any:
-    """One step of the classical Runge-Kutta method as an expression."""
+def casadi_step(rates: Any, state: Any) -> Any:
+    """One step of the classical Runge-Kutta method on `rates(state)` as an expression."""
     slope, total = 0.0, 0.0
     for share, weight in zip(_SHARES, _WEIGHTS, strict=True):
-        slope = casadi_rates(ca, model, state + share * DT * slope, tau)
+        slope = rates(state + share * DT * slope)
         total += weight * slope
     return state + DT * total
 
@@ -269,7 +269,7 @@ def by_casadi(dive: Dive) -> Run:
     """One vehicle; states at the ends of all holds."""
     ca = importlib.import_module("casadi")
     state, tau = ca.SX.sym("state", 13), ca.SX.sym("tau", 6)
-    step = ca.Function("step", [state, tau], [casadi_step(ca, dive.model, state, tau)])
+    step = ca.Function("step", [state, tau], [casadi_step(lambda s: casadi_rates(ca, dive.model, s, tau), state)])
     roll_out = casadi_compiled(ca, step.mapaccum("roll_out", dive.steps))
     # Transposed here: casadi's matrices lie by columns.
     start, wrenches = ca.DM(dive.starts[0]), ca.DM(dive.wrenches[0].T)
