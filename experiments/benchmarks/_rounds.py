@@ -113,18 +113,23 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A ratio of two contenders of a table that is to be at most `most`; `times` the second one, where given."""
+    """A ratio of two contenders of a table that is to be at most `most`; `times` the second one, where given.
+
+    - `against`: None: the contender's time itself [s].
+    """
 
     what: str
     table: Table
     name: str
-    against: str
+    against: str | None
     most: float
     times: float = 1.0
 
     @property
     def ratio(self) -> float | None:
         """None where a contender was skipped."""
+        if self.against is None:
+            return float(np.median(self.table.timings[self.name].seconds))
         ratio = self.table.ratio(self.name, self.against)
         return None if ratio is None else ratio / self.times
 
@@ -180,13 +185,16 @@ def compared(
     return Table(title, timings, against, unit, per, skipped)
 
 
-def report(out: Path, tables: Sequence[Table], targets: Sequence[Target] = ()) -> None:
-    """Writes results.json and results.md, and prints the latter."""
+def report(
+    out: Path, tables: Sequence[Table], targets: Sequence[Target] = (), more: Mapping[str, Any] | None = None
+) -> None:
+    """Writes results.json, with what there is `more`, and results.md, and prints the latter."""
     reached = [{"what": one.what, "ratio": one.ratio, "at_most": one.most} for one in targets]
     results = {
         "machine": machine(),
         "tables": [dataclasses.asdict(table) for table in tables],
         "targets": reached,
+        **(more or {}),
     }
     text = "\n".join(table.markdown() for table in tables)
     if reached:
