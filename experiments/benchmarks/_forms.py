@@ -1,7 +1,7 @@
 """One vehicle written out by hand: in C, casadi, numba, numpy and jax, all with the same equations.
 
-The state is one vector of 13: position [m] NED, quaternion body to world, velocity in body axes; the wrench is
-held over each step. `M nu' + C(nu) nu + D_l nu + D_q |nu| nu + g = tau` with dense matrices.
+The state is one vector of 13: position [m] NED, quaternion body to world, velocity in body axes; the wrench
+is held over each step. `M nu' + C(nu) nu + D_l nu + D_q |nu| nu + g = tau` with dense matrices.
 """
 
 import ctypes
@@ -80,7 +80,9 @@ class Dive:
         plant, rng = vehicle.plant(), np.random.default_rng(0)
         count = len(vehicle.command_names)
         # Some operators are enough: others differ by their starts.
-        commands = np.stack([operator(count, DT * np.arange(steps), seed) for seed in range(min(vehicles, 20))])
+        commands = np.stack(
+            [operator(count, DT * np.arange(steps), seed) for seed in range(min(vehicles, 20))]
+        )
         wrenches = commands @ np.asarray(plant.allocation * plant.drive.max_thrust[None]).T
         starts = np.zeros((vehicles, 13))
         starts[:, 3:7] = np.array([1.0, 0.0, 0.0, 0.0]) + 0.1 * rng.normal(size=(vehicles, 4))
@@ -269,7 +271,8 @@ def by_casadi(dive: Dive) -> Run:
     """One vehicle; states at the ends of all holds."""
     ca = importlib.import_module("casadi")
     state, tau = ca.SX.sym("state", 13), ca.SX.sym("tau", 6)
-    step = ca.Function("step", [state, tau], [casadi_step(lambda s: casadi_rates(ca, dive.model, s, tau), state)])
+    after = casadi_step(lambda at: casadi_rates(ca, dive.model, at, tau), state)
+    step = ca.Function("step", [state, tau], [after])
     roll_out = casadi_compiled(ca, step.mapaccum("roll_out", dive.steps))
     # Transposed here: casadi's matrices lie by columns.
     start, wrenches = ca.DM(dive.starts[0]), ca.DM(dive.wrenches[0].T)

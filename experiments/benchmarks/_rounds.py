@@ -24,7 +24,7 @@ VERSIONS = ("jax", "diffrax", "optimistix", "equinox", "numpy", "scipy", "casadi
 
 
 class Uncompared(NamedTuple):
-    """A result of another kind than the reference, such as that of the pass which is the unit of the ratios."""
+    """A result of another kind than the reference: that of a pass which is the unit of the ratios."""
 
     value: Any
 
@@ -48,7 +48,9 @@ def benchmark(out: Path, quick: bool) -> Iterator[None]:
 def machine() -> dict[str, Any]:
     """Where the times come from."""
     info = Path("/proc/cpuinfo")
-    names = [line.partition(":")[2].strip() for line in info.read_text().splitlines()] if info.exists() else []
+    names = (
+        [line.partition(":")[2].strip() for line in info.read_text().splitlines()] if info.exists() else []
+    )
     versions = {}
     for name in VERSIONS:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

@@ -11,7 +11,15 @@ from jaxtyping import Array, Float
 
 import jaxmarine as jm
 from jaxmarine.diagnosis._saturated import SaturatedPlant
-from jaxmarine.effects import AddedMass, ConstantWrench, Craft, LinearDamping, Motion, QuadraticDamping, WrenchEffect
+from jaxmarine.effects import (
+    AddedMass,
+    ConstantWrench,
+    Craft,
+    LinearDamping,
+    Motion,
+    QuadraticDamping,
+    WrenchEffect,
+)
 from jaxmarine.examples import operator, recorded
 from jaxmarine.fitting import Affine, Problem, cut, start_precision
 
@@ -22,7 +30,7 @@ _SIZES = np.repeat([[20.0, 5.0], [20.0, 5.0], [20.0, 5.0], [3.0, 0.5]], 3, axis=
 
 
 class Networks(WrenchEffect):
-    """Perceptrons from the velocity and its magnitude to the wrench, each of so many outputs: 12-hidden-outputs.
+    """Perceptrons 12-hidden-outputs from the velocity and its magnitude to the wrench.
 
     - `first` [networks, hidden, 12], `second` [networks, outputs, hidden], with their biases.
     """

@@ -2,11 +2,11 @@
 
 usage: python -m experiments.benchmarks.diagnosis --out DIR [--rounds 3] [--quick]
 
-The ROV Tethra with a weak thruster, 300 s at 10 Hz, the full catalogue. The screening is compared with forward
-tangents through the solver for all parameters and initial states; its own sensitivities are those of the midpoint
-of a step, and fluid memory follows the measured velocity. The whole diagnosis is asked for the thruster's factor,
-whose truth is the reference. Starts are processes of the command line, with a cache of compiled programs that is
-empty at the first. Writes results.json and results.md.
+The ROV Tethra with a weak thruster, 300 s at 10 Hz, the full catalogue. The screening is compared with
+forward tangents through the solver for all parameters and initial states; its own sensitivities are those
+of the midpoint of a step, and fluid memory follows the measured velocity. The whole diagnosis is asked for
+the thruster's factor, whose truth is the reference. Starts are processes of the command line, with a cache
+of compiled programs that is empty at the first. Writes results.json and results.md.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ import numpy as np
 import typer
 
 import jaxmarine as jm
-from experiments.benchmarks._rounds import Run, Table, Target, Timing, benchmark, compared, difference, report
+from experiments.benchmarks._rounds import Table, Target, Timing, benchmark, compared, difference, report
 from jaxmarine._compiled import compiled
 from jaxmarine.diagnosis._model import SEGMENTS
 from jaxmarine.diagnosis._prepare import workbench
@@ -135,7 +135,9 @@ def main(
     seconds, catalogue, rounds = (40.0, few, 1) if quick else (300.0, jm.CATALOGUE, rounds)
     vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
     with benchmark(out, quick):
-        logs = hidden(vehicle, "thruster_gain", "port_h", {"factor": FACTOR}, (seconds, max(seconds / 3, 20.0)))
+        logs = hidden(
+            vehicle, "thruster_gain", "port_h", {"factor": FACTOR}, (seconds, max(seconds / 3, 20.0))
+        )
         tables = [screening(vehicle, logs[0], catalogue, rounds), whole(vehicle, logs, catalogue, rounds)]
         targets = []
         if not quick:

@@ -2,12 +2,12 @@
 
 usage: python -m experiments.benchmarks.gradient --out DIR [--rounds 9] [--quick]
 
-Windows of 50 samples of the ROV Tethra, compared with positions, attitudes and velocities. The 24 parameters are
-coefficients (added mass, linear and quadratic damping, a constant wrench), the 426 the weights of six 12-5-1
-networks. The unit is the forward pass that gives the residuals. Gradients are compared with that of
-forward tangents, Gauss-Newton systems (J'J and J'r of the parameters) with those of forward tangents. jaxmarine's system
-also has the initial states of all windows in it; its sensitivities are those of the midpoint of a step, and
-differ by that. Writes results.json and results.md.
+Windows of 50 samples of the ROV Tethra, compared with positions, attitudes and velocities. The 24
+parameters are coefficients (added mass, linear and quadratic damping, a constant wrench), the 426 the
+weights of six 12-5-1 networks. The unit is the forward pass that gives the residuals. Gradients are
+compared with that of forward tangents, Gauss-Newton systems (J'J and J'r of the parameters) with those of
+forward tangents. jaxmarine's system also has the initial states of all windows in it; its sensitivities are
+those of the midpoint of a step, and differ by that. Writes results.json and results.md.
 """
 
 import importlib
@@ -23,7 +23,16 @@ import scipy.optimize
 import typer
 
 from experiments.benchmarks._forms import Model, casadi_compiled, casadi_rates, casadi_step
-from experiments.benchmarks._rounds import Run, Table, Target, Uncompared, benchmark, compared, report, threads
+from experiments.benchmarks._rounds import (
+    Run,
+    Table,
+    Target,
+    Uncompared,
+    benchmark,
+    compared,
+    report,
+    threads,
+)
 from experiments.benchmarks._windows import DT, Fitting, Networks, fitting, logged
 from jaxmarine._compiled import compiled
 from jaxmarine.fitting import linearise, predict, wrapped
@@ -123,7 +132,9 @@ def by_differences(case: Fitting) -> Run:
     def run():
         values = np.asarray(residuals(case.theta, case)).ravel()
         jacobian = scipy.optimize.approx_fprime(
-            np.asarray(case.theta), lambda theta: np.asarray(residuals(jnp.asarray(theta), case)).ravel(), 1e-6
+            np.asarray(case.theta),
+            lambda theta: np.asarray(residuals(jnp.asarray(theta), case)).ravel(),
+            1e-6,
         )
         return system(jacobian, values)
 
@@ -139,7 +150,12 @@ def by_casadi(case: Fitting) -> Run:
     def filled(name: str, *shape: int):
         return ca.SX.sym(name, *shape)
 
-    state, tau, theta, inverse = filled("x", 13), filled("tau", 6), filled("theta", 24), filled("inverse", 6, 6)
+    state, tau, theta, inverse = (
+        filled("x", 13),
+        filled("tau", 6),
+        filled("theta", 24),
+        filled("inverse", 6, 6),
+    )
     change = filled("change", 24)
     mass, linear, quadratic, push = (theta[k : k + 6] + change[k : k + 6] for k in range(0, 24, 6))
     model = Model(
@@ -196,7 +212,13 @@ def by_casadi(case: Fitting) -> Run:
 
     total = len(case.delta)
     nothing = [np.zeros((rows, columns * total)) for rows, columns in sizes[1:]]
-    fixed = [begun.T, *nothing, columns(pushed), columns(windows.measured[..., :12]), columns(windows.weight[..., :12])]
+    fixed = [
+        begun.T,
+        *nothing,
+        columns(pushed),
+        columns(windows.measured[..., :12]),
+        columns(windows.weight[..., :12]),
+    ]
 
     def run():
         theta = np.asarray(case.theta)
@@ -246,9 +268,15 @@ def targets(tables: list[Table]) -> list[Target]:
     """Of the gradient and of the systems with 24 and with 426 parameters, in the order of the tables."""
     with_few, with_networks, system, large = tables
     return [
-        Target("reverse gradient, p = 24, against the loss", with_few, "reverse, steps recomputed", FORWARD, 3.5),
         Target(
-            "reverse gradient, p = 426, against the loss", with_networks, "reverse, steps recomputed", FORWARD, 3.5
+            "reverse gradient, p = 24, against the loss", with_few, "reverse, steps recomputed", FORWARD, 3.5
+        ),
+        Target(
+            "reverse gradient, p = 426, against the loss",
+            with_networks,
+            "reverse, steps recomputed",
+            FORWARD,
+            3.5,
         ),
         Target("Gauss-Newton system, p = 24, against 24 forward passes", system, OURS, FORWARD, 1.5, 24),
         Target("Gauss-Newton system, p = 24, against casadi", system, OURS, CASADI, 1.0),

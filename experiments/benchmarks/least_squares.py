@@ -2,9 +2,9 @@
 
 usage: python -m experiments.benchmarks.least_squares --out DIR [--rounds 7] [--quick]
 
-A regression with 20 columns on 10,000 samples of six axes, in the units of columns that span three powers of ten;
-200 resamples of 100 windows. The reference is numpy's `lstsq`; every bootstrap takes the same draws.
-Writes results.json and results.md.
+A regression with 20 columns on 10,000 samples of six axes, in the units of columns that span three powers
+of ten; 200 resamples of 100 windows. The reference is numpy's `lstsq`; every bootstrap takes the same
+draws. Writes results.json and results.md.
 """
 
 from pathlib import Path
@@ -106,7 +106,9 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="Few samples and resamples, two rounds.")] = False,
 ) -> None:
     """Times linear least squares and their bootstrap."""
-    samples, columns, windows, resamples, rounds = (60, 3, 10, 5, 2) if quick else (10_000, 20, 100, 200, rounds)
+    samples, columns, windows, resamples, rounds = (
+        (60, 3, 10, 5, 2) if quick else (10_000, 20, 100, 200, rounds)
+    )
     with benchmark(out, quick):
         tables = [
             solve(samples, columns, rounds),

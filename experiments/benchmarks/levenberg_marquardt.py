@@ -2,12 +2,14 @@
 
 usage: python -m experiments.benchmarks.levenberg_marquardt --out DIR [--rounds 7] [--quick]
 
-Six 12-5-1 networks learn the six accelerations of the ROV Tethra from velocity and force, on 10,000 samples with
-noise. Per epoch the unit is one product J'J for all six, which every method of this kind needs. To the same cost:
-scipy's solver says what can be reached; each contender goes on to within 1 % of the worst that any of them
-reaches, jaxmarine in the doubling number of epochs that suffices. Writes results.json and results.md.
+Six 12-5-1 networks learn the six accelerations of the ROV Tethra from velocity and force, on 10,000 samples
+with noise. Per epoch the unit is one product J'J for all six, which every method of this kind needs. To the
+same cost: scipy's solver says what can be reached; each contender goes on to within 1 % of the worst that
+any of them reaches, jaxmarine in the doubling number of epochs that suffices. Writes results.json and
+results.md.
 """
 
+import contextlib
 import functools
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -107,7 +109,7 @@ class Enough(Exception):
 
 
 def by_scipy(starts: Perceptron, samples: Samples, evaluations: int, wanted=(0.0,) * 6) -> np.ndarray:
-    """MINPACK's with the exact Jacobian, network by network, until a cost is reached or for so many evaluations."""
+    """MINPACK's with the exact Jacobian, network by network, until a cost or so many evaluations."""
     costs = []
     for k, enough in enumerate(wanted):
         start = jax.tree.map(lambda a, k=k: a[k], starts)
@@ -124,7 +126,7 @@ def by_scipy(starts: Perceptron, samples: Samples, evaluations: int, wanted=(0.0
                 raise Enough
             return value
 
-        try:
+        with contextlib.suppress(Enough):
             scipy.optimize.least_squares(
                 watched,
                 np.asarray(flat),
@@ -132,8 +134,6 @@ def by_scipy(starts: Perceptron, samples: Samples, evaluations: int, wanted=(0.0
                 method="lm",
                 max_nfev=evaluations,
             )
-        except Enough:
-            pass
         costs.append(least)
     return np.array(costs)
 
@@ -185,7 +185,7 @@ def per_epoch(starts: Perceptron, samples: Samples, epochs: int, rounds: int) ->
 
 
 def to_equal_cost(starts: Perceptron, samples: Samples, most: int, rounds: int) -> Table:
-    """Time to costs within 1 % of those that each of the two can reach; the difference is what is left above."""
+    """Time to costs within 1 % of what each of the two can reach; the difference is what is left above."""
     reached = np.maximum(by_scipy(starts, samples, most), by_normal_equations(starts, samples, most))
     wanted = 1.01 * reached
     epochs = 1
@@ -193,8 +193,8 @@ def to_equal_cost(starts: Perceptron, samples: Samples, most: int, rounds: int) 
         epochs = min(2 * epochs, most)
     makers = {
         SCIPY: lambda: lambda: np.maximum(by_scipy(starts, samples, most, tuple(wanted)), wanted),
-        f"{OURS} ({epochs} epochs)": lambda: lambda: np.maximum(
-            by_normal_equations(starts, samples, epochs), wanted
+        f"{OURS} ({epochs} epochs)": lambda: (
+            lambda: np.maximum(by_normal_equations(starts, samples, epochs), wanted)
         ),
     }
     title = f"Six networks to the same cost, {len(samples.x)} samples"

@@ -2,9 +2,9 @@
 
 usage: python -m experiments.benchmarks.rollout --out DIR [--rounds 15] [--quick]
 
-The ROV Tethra under an operator's wrenches, held over steps of 0.1 s. The reference is scipy's DOP853 at 1e-12,
-begun anew at every hold; all others but Tsit5 take one classical Runge-Kutta step per hold and differ from it by
-that method's error. Writes results.json and results.md.
+The ROV Tethra under an operator's wrenches, held over steps of 0.1 s. The reference is scipy's DOP853 at
+1e-12, begun anew at every hold; all others but Tsit5 take one classical Runge-Kutta step per hold and
+differ from it by that method's error. Writes results.json and results.md.
 """
 
 from pathlib import Path
@@ -175,7 +175,8 @@ def many_vehicles(vehicles: int, steps: int, rounds: int) -> Table:
     def batch_last() -> Run:
         turned = jnp.moveaxis(wrenches, 0, -1)
         return shown(
-            lambda: by_jax_batch_last(dive.model, starts.T, turned), lambda s: jnp.moveaxis(s[..., some], -1, 0)
+            lambda: by_jax_batch_last(dive.model, starts.T, turned),
+            lambda s: jnp.moveaxis(s[..., some], -1, 0),
         )
 
     makers = {

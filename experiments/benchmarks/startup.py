@@ -72,7 +72,7 @@ def imports(rounds: int) -> Table:
 
 
 def compilation(rounds: int) -> tuple[Table, dict[str, list[float]]]:
-    """A process that needs the Gauss-Newton program; and medians of tracing, compiling and running in it [s]."""
+    """A process that needs the Gauss-Newton program; and medians of tracing, compiling and running [s]."""
     parts: dict[str, list[list[float]]] = {}
 
     def ready(name: str, cache: str) -> Callable[[], Run]:
@@ -97,7 +97,9 @@ def compilation(rounds: int) -> tuple[Table, dict[str, list[float]]]:
             "from the persistent cache": ready("from the persistent cache", cache),
         }
         reference = np.array(json.loads(child(PROGRAM))["curvature"])
-        table = compared("A process with the Gauss-Newton program", makers, reference, "compiled anew", rounds)
+        table = compared(
+            "A process with the Gauss-Newton program", makers, reference, "compiled anew", rounds
+        )
     return table, {name: np.median(rows[1:], axis=0).tolist() for name, rows in parts.items()}
 
 
