@@ -107,7 +107,8 @@ def rates(model: Model, state, tau, xp: Any = jnp, product=lambda a, v: (a * v[N
 
     - `product`: of a matrix and one vector, or of a matrix and a batch of them.
     """
-    w, x, y, z = state[3:7] / xp.sqrt((state[3:7] ** 2).sum(0))
+    size = xp.sqrt((state[3:7] ** 2).sum(0))
+    w, x, y, z = (row / size for row in state[3:7])
     nu = state[7:]
     turn = xp.stack(
         [

@@ -133,8 +133,8 @@ def main(
     """Times the diagnosis of a weak thruster."""
     few = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain)
     seconds, catalogue, rounds = (40.0, few, 1) if quick else (300.0, jm.CATALOGUE, rounds)
-    vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
     with benchmark(out, quick):
+        vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
         logs = hidden(
             vehicle, "thruster_gain", "port_h", {"factor": FACTOR}, (seconds, max(seconds / 3, 20.0))
         )
