@@ -356,6 +356,6 @@ def by_numba(dive: Dive) -> Run:
             states[k] = s
         return states
 
-    numbers = [np.ascontiguousarray(part) for part in dive.model]
-    numbers[4] = float(dive.model.heavy)  # pyright: ignore[reportArgumentType]
-    return lambda: roll_out(*numbers, dive.starts[0], np.ascontiguousarray(dive.wrenches[0]))
+    matrices = [np.ascontiguousarray(part) for part in dive.model[:4]]
+    numbers = (*matrices, float(dive.model.heavy), dive.model.moment)
+    return lambda: roll_out(*numbers, dive.starts[0], dive.wrenches[0])

@@ -116,7 +116,7 @@ def measured(
 ) -> Point:
     """Compiled, and run where there is room; `off` says how far a result is from another way's."""
     program = jax.jit(function).lower(*args).compile()
-    asked = program.memory_analysis()
+    asked: Any = program.memory_analysis()
     total = asked.argument_size_in_bytes + asked.output_size_in_bytes + asked.temp_size_in_bytes
     if total > limit():
         return Point(size, (), total, None)

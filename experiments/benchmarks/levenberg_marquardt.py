@@ -126,11 +126,14 @@ def by_scipy(starts: Perceptron, samples: Samples, evaluations: int, wanted=(0.0
                 raise Enough
             return value
 
+        def jacobian(weights, args=args, slope=slope):
+            return np.asarray(slope(weights, *args))
+
         with contextlib.suppress(Enough):
             scipy.optimize.least_squares(
                 watched,
                 np.asarray(flat),
-                lambda weights, args=args, slope=slope: np.asarray(slope(weights, *args)),
+                jacobian,  # pyright: ignore[reportArgumentType]
                 method="lm",
                 max_nfev=evaluations,
             )
@@ -168,9 +171,7 @@ def per_epoch(starts: Perceptron, samples: Samples, epochs: int, rounds: int) ->
 
     def products() -> Run:
         def run():
-            for _ in range(epochs):
-                out = jax.block_until_ready(product(jacobians))
-            return Uncompared(out)
+            return Uncompared([jax.block_until_ready(product(jacobians)) for _ in range(epochs)])
 
         return run
 
