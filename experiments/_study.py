@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
+from statsmodels.stats.proportion import proportion_confint
 from threadpoolctl import threadpool_limits
 
 from jaxmarine.effects import Craft, Suspect, WrenchEffect
@@ -58,6 +59,13 @@ def save_figure(plot: Any, path: Path) -> None:
     for kind in ("png", "svg"):
         plot.savefig(path.with_suffix(f".{kind}"), dpi=120)
     plt.close(plot)
+
+
+def wilson(right: int, count: int) -> list[float]:
+    """Wilson's interval of a share, 95 %; of none it says nothing."""
+    if not count:
+        return [0.0, 1.0]
+    return np.asarray(proportion_confint(right, count, method="wilson"), float).tolist()
 
 
 def spread(values: Sequence[float], digits: int) -> str:

@@ -27,10 +27,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import typer
 from rich.progress import Progress
-from statsmodels.stats.proportion import proportion_confint
 
 import jaxmarine as jm
-from experiments._study import save_figure, write_results
+from experiments._study import save_figure, wilson, write_results
 from experiments.blind import cases, grading
 from jaxmarine.diagnosis import gain_of
 from jaxmarine.effects import place
@@ -166,8 +165,7 @@ def detectable(r: Row) -> bool:
 def share(rows: Sequence[Row], key: str) -> Row:
     """How many are right, of how many, with Wilson's interval of 95 %."""
     right, count = sum(bool(r[key]) for r in rows), len(rows)
-    bounds = proportion_confint(right, count, method="wilson") if count else (0.0, 1.0)
-    low, high = (float(np.asarray(bound)) for bound in bounds)
+    low, high = wilson(right, count)
     return {"right": right, "of": count, "low": low, "high": high}
 
 

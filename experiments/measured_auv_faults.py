@@ -31,10 +31,9 @@ import typer
 from jaxtyping import Array, Float, Int
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
-from statsmodels.stats.proportion import proportion_confint
 
 import jaxmarine as jm
-from experiments._study import save_figure, study, write_results
+from experiments._study import save_figure, study, wilson, write_results
 from jaxmarine._types import Matrix3, Scalar
 from jaxmarine.effects import (
     CATALOGUE,
@@ -556,11 +555,6 @@ def confusion(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs
     return out.tolist()
 
 
-def wilson(hits: int, count: int) -> list[float]:
-    """Wilson's interval of a share, 95 %."""
-    return np.asarray(proportion_confint(hits, count, method="wilson"), float).tolist()
-
-
 def judged(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"], session) -> dict[str, Any]:
     """Accuracy, log loss [nats], Brier score (0 to 2) and calibration, with 95 % intervals.
 
@@ -583,7 +577,7 @@ def judged(p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"],
         out[name] = [float(values.mean()), *np.quantile(means, [0.025, 0.975]).tolist()]
     sure = p.max(axis=1) > CONFIDENT
     right = int(per_run["accuracy"][sure].sum())
-    bounds = wilson(right, max(int(sure.sum()), 1))
+    bounds = wilson(right, int(sure.sum()))
     out |= {"inconclusive": float(1.0 - sure.mean()), "confident": int(sure.sum()), "confident_right": right}
     return out | {"confident_right_share_95": bounds, "confusion": confusion(p, state)}
 

@@ -26,10 +26,9 @@ import numpy as np
 import typer
 from jaxtyping import Float
 from rich.progress import Progress
-from statsmodels.stats.proportion import proportion_confint
 
 import jaxmarine as jm
-from experiments._study import save_figure, study, write_results
+from experiments._study import save_figure, study, wilson, write_results
 from experiments.blind import cases
 from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
@@ -199,11 +198,10 @@ def summary(rows: Sequence[Row]) -> Row:
         for kind in KINDS:
             here = [r[kind] for r in own]
             counts = {o: sum(h["outcome"] == o for h in here) for o in OUTCOMES}
-            interval: Any = proportion_confint(counts["decides"], len(own), method="wilson")
             told = [h["found_nats"] for h in here if h["found_nats"] is not None]
             out[name][kind] = {
                 **counts,
-                "decides_ci95": [float(x) for x in interval],
+                "decides_ci95": wilson(counts["decides"], len(own)),
                 "expected_nats": float(np.median([h["expected_nats"] for h in here])),
                 "found_nats": float(np.median(told)) if told else None,
                 "command_rms": float(np.median([h["command_rms"] for h in here])),

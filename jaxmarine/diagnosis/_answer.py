@@ -83,12 +83,12 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     """
     members, count = now.model.members, len(bench.base)
     share = wrong_by(bench, now.model)
-    named = {bench.layout.suspects[m.suspect].label for m in members}
+    named = {m.suspect for m in members}
     stats = now.knots.wrench(couplings(bench.vehicle, now.knots.places))
     g, h = stats.g.sum(0), stats.h.sum(0)
     width = now.knots.width
     g[:width] += now.knots.precision * now.knots.offset
-    filed = [] if dense else [j for j, c in enumerate(bench.base) if c.label not in named]
+    filed = [] if dense else [j for j, c in enumerate(bench.base) if c.suspect not in named]
     estimated = np.arange(0 if dense else count, width)
     doubted = np.array([*filed, *range(width, len(h))], dtype=int)
     size = share * np.array([*(bench.base[j].prior / FILE_ERROR for j in filed), *np.ones(len(h) - width)])
@@ -204,9 +204,9 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
 
 def recalibrated(bench: Workbench, now: Judged, std: Float[np.ndarray, " z"]) -> tuple[Recalibrated, ...]:
     """The file's coefficients that no member stands for, with what they were refitted to."""
-    taken = {bench.layout.suspects[m.suspect].label for m in now.model.members}
+    taken = {m.suspect for m in now.model.members}
     return tuple(
         Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
         for c, z, s in zip(bench.base, now.model.z, std, strict=False)
-        if c.label not in taken
+        if c.suspect not in taken
     )

@@ -35,14 +35,13 @@ def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
             return 0.0
         return float(-g[free] @ solve(h[np.ix_(free, free)], g[free]))
 
-    suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
-    active = {bench.layout.suspects[m.suspect].label for m in model.members if m.since is None}
-    open_ = [j for j in range(n) if bench.base[j].label not in active]
+    active = {m.suspect for m in model.members if m.since is None}
+    open_ = [j for j, c in enumerate(bench.base) if c.suspect not in active]
     while open_:
         now = least([*members, *chosen])
         gains = {j: now - least([*members, *chosen, j]) for j in open_}
         best = max(gains, key=lambda j: gains[j])
-        if gains[best] < needed(bench, Member(suspects[bench.base[best].label]), phi):
+        if gains[best] < needed(bench, Member(bench.base[best].suspect), phi):
             break
         chosen.append(best)
         open_.remove(best)
@@ -82,10 +81,9 @@ def settle(
 
 def _with_changes(bench: Workbench, model: Model, chosen: Sequence[int]) -> Model:
     """The model with some coefficients of the file as members, after its own, and all others held."""
-    suspects = {s.label: i for i, s in enumerate(bench.layout.suspects)}
     frozen = bench.frozen(dataclasses.replace(model, z=model.z.copy()))
     for j in chosen:
-        frozen = bench.with_member(frozen, Member(suspects[bench.base[j].label]), model.z[j : j + 1])
+        frozen = bench.with_member(frozen, Member(bench.base[j].suspect), model.z[j : j + 1])
     frozen.z[: len(bench.base)] = 0.0
     return _refitted(bench, frozen, model.cost)
 
@@ -99,8 +97,7 @@ def _one_for_many(
     it nothing to explain. It is looked for beside the file held as it is. Returns the model with it, the same
     with what must change nevertheless and all else held, and all that was weighed.
     """
-    own = {c.label for c in bench.base}
-    trials = [t for t in held if bench.layout.suspects[t.member.suspect].label not in own]
+    trials = [t for t in held if bench.coefficient_of(t.member.suspect) is None]
     for trial in trials[:CHANCES]:
         free = bench.refine(dataclasses.replace(trial.model, frozen=False))
         if not bench.stands(free, trial.model):
@@ -132,9 +129,9 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
     """
     which = model.members.index(member)
     value = model.z[bench.slices(model.members)[which]]
-    label = bench.layout.suspects[member.suspect].label
-    wrong = next(j for j, c in enumerate(bench.base) if c.label == label)
-    bent = dataclasses.replace(bench.without_member(model, which), frozen=False, held=(*model.held, wrong))
+    wrong = bench.coefficient_of(member.suspect)
+    held = model.held if wrong is None else (*model.held, wrong)
+    bent = dataclasses.replace(bench.without_member(model, which), frozen=False, held=held)
     less = bench.refine(bent)
     same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
     own = Trial(member, same, 2 * (less.cost - same.cost))

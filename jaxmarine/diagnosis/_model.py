@@ -165,6 +165,10 @@ class Workbench:
         few = len(self.base) + FEW
         return few if width <= few < SLOTS else SLOTS
 
+    def coefficient_of(self, suspect: int) -> int | None:
+        """Which coefficient of the file a suspect alters, if it does nothing else."""
+        return next((j for j, c in enumerate(self.base) if c.suspect == suspect), None)
+
     def _padded(self, z: np.ndarray, fill: float = 0.0) -> np.ndarray:
         return np.append(z, np.full(self.slots(len(z)) - len(z), fill))
 
@@ -269,10 +273,10 @@ class Workbench:
 
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
-        taken = {self.layout.suspects[m.suspect].label for m in model.members if m.since is None}
+        taken = {m.suspect for m in model.members if m.since is None}
         out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
         for j, c in enumerate(self.base):
-            held = model.frozen or j in model.held or c.label in taken
+            held = model.frozen or j in model.held or c.suspect in taken
             out[j] = (1e12 if held else 1.0) / c.prior**2
         return out
 
@@ -509,9 +513,11 @@ def _linearise(problem, affine, delta, knots: int):
 class Coefficient:
     """A coefficient that the file has: where it lies, its value there, and the width of its prior.
 
+    - `suspect`: the one that alters it.
     - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
     """
 
+    suspect: int
     label: str
     place: tuple[int, int]
     index: int
@@ -549,6 +555,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
         row, _ = matrix_place(suspect)
         out.append(
             Coefficient(
+                i,
                 suspect.label,
                 matrix_place(suspect),
                 int(np.flatnonzero(layout.columns[i][:, 0])[0]),

@@ -228,8 +228,7 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
 
 def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:
     """Whether a trial saves enough, on windows in general and not by chance on a few."""
-    coefficient = bench.layout.suspects[trial.member.suspect].label in {c.label for c in bench.base}
-    if coefficient:
+    if bench.coefficient_of(trial.member.suspect) is not None:
         # A coefficient of the file was free already: what counts is what putting it back would cost.
         lost = putting_back(bench, trial.model, after, bench.slices(trial.model.members)[-1])
     else:

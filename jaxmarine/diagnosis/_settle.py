@@ -54,9 +54,8 @@ def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: flo
     """
     if len(model.members) == 1:
         return model
-    own = {c.label for c in bench.base}
     for i, member in enumerate(model.members):
-        if bench.layout.suspects[member.suspect].label in own:
+        if bench.coefficient_of(member.suspect) is not None:
             continue
         trials = [r.trials for r in rounds if r.accepted and r.trials[0].member.suspect == member.suspect]
         for trial in trials[0][1 : 1 + RIVALS] if trials else ():

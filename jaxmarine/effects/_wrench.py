@@ -233,7 +233,8 @@ class FluidMemory(WrenchEffect):
 
     name = "fluid_memory"
     units = {"gain": "N s/m or N m s", "time_constant": "s"}
-    plausible = {"time_constant": (0.01, np.inf)}
+    # A shorter memory is damping and added mass, to all that a log shows: gain (nu_r - time_constant nu_r').
+    plausible = {"time_constant": (0.2, np.inf)}
     confused_with = ("linear_damping", "added_mass")
     shown_by = "stops and reversals, with times around the time constant"
     advice = "the wake catches up with the hull: damping depends on the motion's past"
