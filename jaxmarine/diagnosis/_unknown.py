@@ -17,11 +17,14 @@ from ._knots import Knots, missing_wrench, on_axis
 from ._score import blocks, solve, step_with, t_value
 from ._signals import Places, Signals
 
-# Standard errors (over windows) by which a dependence must help on left-out windows.
-SIGMAS = 3.0
+# Standard errors (over windows) by which a dependence must help on left-out windows: some two thousand sets
+# of signals are tried, of which chance alone would give three to a few. The first number is for what explains
+# most of what is left, which chance does not.
+SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Share of what is left beyond the noise from which a dependence on measured velocities speaks for itself.
+# Share of what is left beyond the noise that is most of it, so that a dependence on measured velocities speaks
+# for itself.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
@@ -287,7 +290,9 @@ def dependences(
         left.remove(axis)
         excess = k.stats.chi2.sum() - samples - sum(one.saved for one in found)
         plain = np.isfinite(excess) and gain.sum() > MOST_OF * max(excess, 0.0)
-        if t_value(gain) < SIGMAS or not (plain or _causal(ledger, axis, names, gain, undisturbed)):
+        if t_value(gain) < (SIGMAS_OF_MOST if plain else SIGMAS):
+            continue
+        if not (plain or _causal(ledger, axis, names, gain, undisturbed)):
             continue
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
         shapes = (ledger.shapes.of(names, heads) for heads in (2, 4))
