@@ -23,7 +23,7 @@ from ._signals import Places, Signals
 SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Share of what is left beyond the noise that is most of it, so that a dependence on measured velocities speaks
+# Share of what is left beyond the noise that is most of it: then a dependence on measured velocities speaks
 # for itself.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
