@@ -12,6 +12,8 @@ import pytest
 
 import jaxmarine as jm
 from experiments import measured_auv_faults as auv
+from experiments.haizhe import heave
+from experiments.haizhe import runs as haizhe
 
 # Sizes as fitted to the measured runs, rounded; the two damages are alike.
 TRUTH = {
@@ -38,41 +40,41 @@ def _compiled_quickly() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def known() -> auv.Fitted:
+def known() -> heave.Fitted:
     """A fit that knows the truth well: as of one session that said nearly everything."""
-    theta = auv.MEAN.copy()
+    theta = heave.MEAN.copy()
     for name, value in TRUTH.items():
-        theta[auv.NAMES.index(name)] = value
-    precision = np.diag((0.05 * auv.STD) ** -2.0)[None]
-    weighted = np.linalg.solve(np.diag(auv.STD**2), theta - auv.MEAN)[None]
-    scatter = np.log(list((auv.SCATTER | {"drift": 0.03}).values()))
-    return auv.Fitted(jm.load_vehicle(auv.HERE / "haizhe.toml"), theta, scatter, precision, weighted)
+        theta[heave.NAMES.index(name)] = value
+    precision = np.diag((0.05 * heave.STD) ** -2.0)[None]
+    weighted = np.linalg.solve(np.diag(heave.STD**2), theta - heave.MEAN)[None]
+    scatter = np.log(list((heave.SCATTER | {"drift": 0.03}).values()))
+    return heave.Fitted(jm.load_vehicle(auv.HERE / "haizhe.toml"), theta, scatter, precision, weighted)
 
 
-def _drawn(known: auv.Fitted, count: int, seed: int) -> auv.Runs:
+def _drawn(known: heave.Fitted, count: int, seed: int) -> haizhe.Runs:
     """Runs of all states at levels that say nothing of the state."""
     rng = np.random.default_rng(seed)
-    command = np.repeat(rng.choice(LEVELS, count)[:, None], auv.SAMPLES, axis=1)
-    command[:, 0] = auv.IDLE
-    blank = auv.Runs(
+    command = np.repeat(rng.choice(LEVELS, count)[:, None], haizhe.SAMPLES, axis=1)
+    command[:, 0] = haizhe.IDLE
+    blank = haizhe.Runs(
         state=np.arange(count) % 5,
         clock=np.zeros(count),
         command=command,
-        depth=np.zeros((count, auv.BLOCKS + 1)),
-        samples=np.full((count, auv.BLOCKS + 1), float(auv.BLOCK)),
+        depth=np.zeros((count, haizhe.BLOCKS + 1)),
+        samples=np.full((count, haizhe.BLOCKS + 1), float(haizhe.BLOCK)),
         volts=rng.uniform(11.6, 12.2, count),
     )
-    return auv.simulated(known, blank, rng)
+    return heave.simulated(known, blank, rng)
 
 
 @pytest.fixture(scope="module")
-def runs(known) -> auv.Runs:
+def runs(known) -> haizhe.Runs:
     return _drawn(known, 400, seed=1)
 
 
 @pytest.fixture(scope="module")
 def posterior(known, runs) -> np.ndarray:
-    return auv.probabilities(auv.log_evidence(known, runs))
+    return heave.probabilities(heave.log_evidence(known, runs))
 
 
 def test_simulated_runs_get_probabilities_as_often_right_as_they_say(runs, posterior):
@@ -93,19 +95,19 @@ def test_what_cannot_be_told_apart_stays_open_and_what_can_is_told(runs, posteri
     damaged = posterior[:, 3:]
     np.testing.assert_allclose(damaged[:, 0], damaged[:, 1], rtol=0, atol=1e-9)
     assert damaged.max() <= 0.5
-    biased = runs.state == auv.STATES.index("PressureGain_constant")
+    biased = runs.state == haizhe.STATES.index("PressureGain_constant")
     assert (posterior[biased, 2] > auv.CONFIDENT).mean() > 0.8
     assert (posterior[~biased, 2] < 1.0 - auv.CONFIDENT).mean() > 0.9
 
 
 def test_the_evidence_knows_no_usual_command(known, runs, posterior):
     """A run's answer depends on its own command and depth, not on who else ran at that command."""
-    alone = auv.probabilities(auv.log_evidence(known, runs[runs.state == 1][:5]))
+    alone = heave.probabilities(heave.log_evidence(known, runs[runs.state == 1][:5]))
     np.testing.assert_allclose(alone, posterior[runs.state == 1][:5], atol=1e-9)
     # A guess from the level that was trained where states had levels of their own fails here.
     taught = dataclasses.replace(runs, command=runs.command.copy())
     taught.command[:, 1:] = np.array([1198.0, 1184.0, 1192.0, 1200.0, 1200.0])[runs.state][:, None]
-    guess = auv.judged(auv.probabilities(auv.by_level(taught, runs)), runs.state, np.arange(400))
+    guess = auv.judged(heave.probabilities(auv.by_level(taught, runs)), runs.state, np.arange(400))
     model = auv.judged(posterior, runs.state, np.arange(400))
     assert guess["log_loss"][0] > np.log(5.0) > model["log_loss"][2]
 
@@ -114,13 +116,13 @@ def test_slopes_and_covariance_are_those_of_the_simulation(known, runs):
     """Of 400 runs drawn with the simulation, against the linear model."""
     some = runs[:5]
     many = some[np.repeat([1], 400)]
-    drawn = auv.simulated(known, many, np.random.default_rng(3)).depth
-    model = auv.linear(known.start, known.theta, some[1:2], some.state[1:2])
+    drawn = heave.simulated(known, many, np.random.default_rng(3)).depth
+    model = heave.linear(known.start, known.theta, some[1:2], some.state[1:2])
     mean, cov = known.posterior()
     slope = np.asarray(model.by_theta[0])
     trim = np.asarray(model.by_force[0].sum(axis=1))
-    expected = np.asarray(auv.covariance(jnp.asarray(known.log_scatter), model)[0]) + slope @ cov @ slope.T
-    expected += np.exp(2.0 * known.log_scatter[auv.SESSION]) * np.outer(trim, trim)
+    expected = np.asarray(heave.covariance(jnp.asarray(known.log_scatter), model)[0]) + slope @ cov @ slope.T
+    expected += np.exp(2.0 * known.log_scatter[heave.SESSION]) * np.outer(trim, trim)
     np.testing.assert_allclose(mean, 0.0, atol=1e-9)
     # Drag with the square of the speed bends what is drawn; a tenth of the spread is left to that.
     spread = np.sqrt(np.diag(expected))
@@ -130,27 +132,27 @@ def test_slopes_and_covariance_are_those_of_the_simulation(known, runs):
 
 
 def test_sessions_part_where_the_state_changes_or_time_passes():
-    runs = auv.Runs(
+    runs = haizhe.Runs(
         state=np.array([0, 0, 0, 1, 1]),
         clock=np.array([5000.0, 100.0, 500.0, 600.0, 7000.0]),
         **dict.fromkeys(("command", "depth", "samples", "volts"), np.zeros(5)),
     )
-    np.testing.assert_array_equal(auv.sessions(runs), [1, 0, 0, 2, 3])
+    np.testing.assert_array_equal(haizhe.sessions(runs), [1, 0, 0, 2, 3])
 
 
 def test_files_are_cut_from_the_start_on_and_averaged(tmp_path):
-    for k, label in enumerate(auv.STATES):
+    for k, label in enumerate(haizhe.STATES):
         count = 200
         table = pd.DataFrame({"run": label, "i": range(count), "time": 162703 + k})
         table["pwm1"] = np.where(np.arange(count) < 3, 1100, 1190 + k)
         table["depth"] = np.where(np.arange(count) < 3, 0.1, (np.arange(count) - 3.0) / 100)
         table["voltage"] = 11.9
         table.to_csv(tmp_path / f"train_{label}.csv.gz", index=False)
-    runs = auv.read(tmp_path, "train")
+    runs = haizhe.read(tmp_path, "train")
     np.testing.assert_array_equal(runs.state, range(5))
     np.testing.assert_array_equal(runs.clock, 16 * 3600 + 27 * 60 + 3 + np.arange(5))
     np.testing.assert_array_equal(runs.level, 1190 + np.arange(5))
-    np.testing.assert_array_equal(runs.command[:, 0], auv.IDLE)
+    np.testing.assert_array_equal(runs.command[:, 0], haizhe.IDLE)
     # Before the start 0.1; then means of 0 to 0.03, 0.04 to 0.07, ... From 0.78 m on the ground is near.
     np.testing.assert_allclose(runs.depth[2], [0.1, *(0.015 + 0.04 * np.arange(45))])
     np.testing.assert_array_equal(runs.samples[2], [3.0] + 20 * [4.0] + 25 * [0.0])
@@ -158,11 +160,11 @@ def test_files_are_cut_from_the_start_on_and_averaged(tmp_path):
 
 def test_what_may_lie_on_the_ground_is_not_evidence(known, runs):
     some = runs[:5]
-    cut = dataclasses.replace(some, samples=some.samples * (np.arange(auv.BLOCKS + 1) < 20))
+    cut = dataclasses.replace(some, samples=some.samples * (np.arange(haizhe.BLOCKS + 1) < 20))
     wild = dataclasses.replace(cut, depth=np.where(cut.samples > 0, cut.depth, 0.82))
-    one, other = (auv.probabilities(auv.log_evidence(known, these)) for these in (cut, wild))
+    one, other = (heave.probabilities(heave.log_evidence(known, these)) for these in (cut, wild))
     np.testing.assert_allclose(one, other, atol=2e-3)
-    assert np.abs(one - auv.probabilities(auv.log_evidence(known, some))).max() > 0.01
+    assert np.abs(one - heave.probabilities(heave.log_evidence(known, some))).max() > 0.01
 
 
 def test_scores_are_those_worked_by_hand():
