@@ -97,6 +97,8 @@ class Model:
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
     - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
     - `promised`: the cost that one more step of it would reach by its last linearisation, with `damping`.
+    - `weight`: of the prior on the file's coefficients, by how much the windows' scores scatter more than
+      noise of the stated size would make them: that much more is left to bend to, and means nothing.
     - `frozen`: whether the file's coefficients are held at their values; `held`: those that are in any case.
     """
 
@@ -106,6 +108,7 @@ class Model:
     cost: float
     promised: float = np.inf
     damping: float = LEAST_DAMPING
+    weight: float = 1.0
     frozen: bool = False
     held: tuple[int, ...] = ()
 
@@ -277,7 +280,7 @@ class Workbench:
         out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
         for j, c in enumerate(self.base):
             held = model.frozen or j in model.held or c.suspect in taken
-            out[j] = (1e12 if held else 1.0) / c.prior**2
+            out[j] = (1e12 if held else model.weight) / c.prior**2
         return out
 
     def task(self, model: Model) -> Task:
@@ -362,7 +365,7 @@ class Workbench:
         """Whether all numbers mean something.
 
         In their effects' ranges, no negative delays, lags and dead zones, a positive definite mass, at most
-        half of the vehicle's own mass more or less, and on each axis, added mass included, a third to three
+        half of the vehicle's own mass more or less, and on each axis, added mass included, a fifth to five
         times the inertia of the file.
         """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
@@ -381,7 +384,7 @@ class Workbench:
                 return False
             free = np.flatnonzero(self.vehicle.free)
             ratio = (np.diag(mass) / np.diag(np.asarray(self.vehicle.mass_matrix)))[free]
-            if ratio.min() < 1 / 3 or ratio.max() > 3:
+            if ratio.min() < 1 / 5 or ratio.max() > 5:
                 return False
             if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
                 return False

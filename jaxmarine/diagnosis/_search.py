@@ -35,6 +35,8 @@ MARGIN = 12.0
 SIGMAS = 2.0
 # Chi-square per dispersion within which two causes are not told apart (odds of 1 to 20).
 CLOSE = 6.0
+# A prior's weight is left as it is where it should be up to this many times as much, or as little.
+SAME = 1.25
 # Chi-square that some suspect must save before the costly starts are tried.
 PROBED = 20.0
 
@@ -302,7 +304,7 @@ def search(
 
     - `hopeless`: whether a model with some members is no better than none; asked from the second one on.
     """
-    stats = bench.screen(model)
+    model, stats = _weighted(bench, model, bench.screen(model))
     rounds: list[Round] = []
     held: list[Trial] = []
     while len(model.members) < MOST:
@@ -322,11 +324,20 @@ def search(
             break
         one, stats = decided
         rounds.append(one)
-        model = one.trials[0].model
+        model, stats = _weighted(bench, one.trials[0].model, stats)
         progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
         if len(model.members) > 1 and hopeless(model):
             break
     return Found(model, stats, tuple(rounds), tuple(held))
+
+
+def _weighted(bench: Workbench, model: Model, stats: Reduced) -> tuple[Model, Reduced]:
+    """The model with the prior as heavy as its scores scatter, and its statistics."""
+    phi = dispersion(bench, model, stats)
+    if 1 / SAME < phi / model.weight < SAME:
+        return model, stats
+    model = bench.refine(dataclasses.replace(model, weight=phi))
+    return model, bench.screen(model)
 
 
 def _decided(

@@ -103,7 +103,8 @@ class Unnamed:
     @functools.cached_property
     def rest(self) -> float:
         """Chi-square beyond the noise that is left, if the file's coefficients may change as well."""
-        _, precision, _ = self.bench.known(dataclasses.replace(self.start, frozen=False))
+        bent = dataclasses.replace(self.start, frozen=False, weight=self.judged.phi)
+        _, precision, _ = self.bench.known(bent)
         free = dataclasses.replace(self.judged.knots, precision=precision)
         return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.samples, 0.0)
 
