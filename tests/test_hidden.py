@@ -16,7 +16,11 @@ import jaxmarine as jm
 from experiments.blind import cases, catalogue, grading, outside
 from experiments.blind.plant import Effect, Outside
 from experiments.blind.vehicle import load
+from jaxmarine._progress import silent
 from jaxmarine.diagnosis._learn import learn
+from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.diagnosis._search import search
+from jaxmarine.effects import CATALOGUE
 
 # As long as those of other tests, so that a vehicle's programs are compiled once.
 TRAIN, TEST = 120.0, 60.0
@@ -35,6 +39,7 @@ PAIRS = {("steady_current", "thruster_gain"): 60, ("input_delay", "velocity_scal
 BEGUN = {"constant_wrench": 62, "gyro_bias": 63}
 OUTSIDE = {"stick_slip": 65, "heading_force": 64, "cross_terms": 66}
 NOTHING = (67,)
+DISTURBED = 67
 
 
 def first_always(cases: Iterable) -> list:
@@ -133,6 +138,22 @@ def test_a_learned_force_that_predicts_the_training_log_worse_is_left_out(monkey
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.extended.placed == () and diagnosis.gain.ratio == 1.0
     assert any("left out" in note for note in diagnosis.notes)
+
+
+def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
+    """By more than five widths of its prior if that weighed as in logs without a disturbance."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cases.make_case(
+            folder, BOAT, [], DISTURBED, duration_train=TRAIN, duration_test=TEST, disturbance=0.1
+        )
+        craft = jm.load_vehicle(folder / "vehicle.toml")
+        bench = workbench(craft, (jm.read_log(folder / "train.csv", craft),), CATALOGUE, None)
+    widths = np.array([c.prior for c in bench.base])
+    light = bench.fitted(bench.start())
+    found = search(bench, light, silent, lambda model: False).model
+    assert np.abs(light.z / widths).max() > 5.0
+    assert found.members == () and np.abs(found.z / widths).max() < 3.0
 
 
 @pytest.mark.parametrize("seed", NOTHING)
