@@ -38,7 +38,7 @@ IN_SIX_AXES = {
 PAIRS = {("steady_current", "thruster_gain"): 60, ("input_delay", "velocity_scale"): 61}
 BEGUN = {"constant_wrench": 62, "gyro_bias": 63}
 OUTSIDE = {"stick_slip": 65, "heading_force": 64, "cross_terms": 66}
-NOTHING = (67,)
+NOTHING = {67: {}, 1: {"misfit": True, "disturbance": 0.03}}
 DISTURBED = 67
 
 
@@ -48,16 +48,17 @@ def first_always(cases: Iterable) -> list:
     return [first, *(pytest.param(*case, marks=pytest.mark.slow) for case in others)]
 
 
-def answered(ship: str, hidden: list, seed: int) -> tuple[dict, dict]:
+def answered(ship: str, hidden: list, seed: int, **options) -> tuple[dict, dict]:
     """What is hidden in a log of this seed, and the diagnosis of it, both as files state them."""
-    answer, diagnosis = diagnosed(ship, hidden, seed)
+    answer, diagnosis = diagnosed(ship, hidden, seed, **options)
     return answer, diagnosis.to_json()
 
 
-def diagnosed(ship: str, hidden: list, seed: int) -> tuple[dict, jm.Diagnosis]:
+def diagnosed(ship: str, hidden: list, seed: int, **options) -> tuple[dict, jm.Diagnosis]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        answer = cases.make_case(folder, ship, hidden, seed, duration_train=TRAIN, duration_test=TEST)
+        lengths = {"duration_train": TRAIN, "duration_test": TEST}
+        answer = cases.make_case(folder, ship, hidden, seed, **lengths, **options)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
     return answer, jm.diagnose(craft, train, test)
@@ -156,7 +157,9 @@ def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
     assert found.members == () and np.abs(found.z / widths).max() < 3.0
 
 
-@pytest.mark.parametrize("seed", NOTHING)
-def test_nothing_is_found_where_nothing_is_hidden(seed):
-    answer, diagnosis = answered(BOAT, [], seed)
+@pytest.mark.parametrize(
+    ("seed", "options"), NOTHING.items(), ids=["exact file", "file wrong everywhere, disturbed"]
+)
+def test_nothing_is_found_where_nothing_is_hidden(seed, options):
+    answer, diagnosis = answered(BOAT, [], seed, **options)
     assert whole(answer, diagnosis), diagnosis["findings"]

@@ -13,7 +13,7 @@ from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places, _played
-from jaxmarine.diagnosis._unknown import dependences
+from jaxmarine.diagnosis._unknown import dependences, size_only
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -103,6 +103,26 @@ def test_a_velocity_that_a_disturbance_has_caused_is_not_its_cause():
     # A drag that the file lacks shows on both.
     lacking = knots_with(-0.8 * signals["w"] + 0.3 * push, signals, rng)
     assert [found.signals for found in dependences(lacking, 1.0, {"w": told})] == [("w",)]
+
+
+def test_a_force_that_only_the_driven_craft_lacks_is_no_disturbance():
+    """Its size goes with a command, its value, drawn afresh for each window, with nothing."""
+    rng = np.random.default_rng(12)
+    signals = {name: drift(rng, 4.0) for name in ("u", "port")}
+    signals["port"] *= np.arange(len(signals["port"]))[:, None] % 3 == 0
+    erratic = rng.normal(size=(len(signals["port"]), 1))
+
+    def looked_at(force: np.ndarray) -> Knots:
+        k = knots_with(force, signals, rng, port=np.zeros((*SHAPE, 1)))
+        chi2 = (STD * k.stats.g[:, HEAVE::6]) ** 2
+        return dataclasses.replace(k, stats=dataclasses.replace(k.stats, chi2=chi2.sum(axis=1)))
+
+    missing = looked_at(10.0 * erratic * signals["port"])
+    assert dependences(missing, 5.0) == ()
+    (found,) = size_only(missing, 5.0, None, 1.0)
+    assert (found.dof, found.signals, found.size_only) == ("heave", ("port",), True)
+    # The same size at all times is a disturbance.
+    assert size_only(looked_at(drift(rng, 3.0)), 5.0, None, 1.0) == ()
 
 
 def test_what_a_coupling_of_the_file_may_be_off_by_is_not_unknown():

@@ -87,7 +87,6 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     stats = now.knots.wrench(couplings(bench.vehicle, now.knots.places))
     g, h = stats.g.sum(0), stats.h.sum(0)
     width = now.knots.width
-    g[:width] += now.knots.precision * now.knots.offset
     filed = [] if dense else [j for j, c in enumerate(bench.base) if c.suspect not in named]
     estimated = np.arange(0 if dense else count, width)
     doubted = np.array([*filed, *range(width, len(h))], dtype=int)
@@ -95,7 +94,9 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     across = h[np.ix_(estimated, doubted)] * size
     shift = solve(h[np.ix_(estimated, estimated)] + np.diag(now.knots.precision[estimated]), across)
     told = size[:, None] * h[np.ix_(doubted, doubted)] * size - across.T @ shift
-    slope = size * g[doubted] - shift.T @ g[estimated]
+    # What is held has its gradient from the logs alone: its prior would hide that.
+    pulled = g[estimated] + (now.knots.precision * now.knots.offset)[estimated]
+    slope = size * g[doubted] - shift.T @ pulled
     covariance = solve(told / now.phi + np.eye(len(told)), np.eye(len(told)))
     mean = -covariance @ slope / now.phi
     out = np.zeros((width, width))

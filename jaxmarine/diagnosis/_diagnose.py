@@ -96,8 +96,11 @@ def diagnose(
         learned = learn(now.knots, unknown, vehicle.thruster_names)
         terms = tuple(Placed(term, term.target) for term in learned)
         notes += [
-            f"{one.dof}: what is missing hangs on the past of {', '.join(one.signals)}, or on the time over "
-            "several logs; it is not learned."
+            f"{one.dof}: much more is missing where {', '.join(one.signals)} is large, but no signal tells "
+            "its value; it is not learned."
+            if one.size_only
+            else f"{one.dof}: what is missing hangs on the past of {', '.join(one.signals)}, or on the time "
+            "over several logs; it is not learned."
             for one in unknown
             if one.dof not in {term.target for term in learned}
         ]

@@ -174,7 +174,7 @@ def gain(
     noise: np.ndarray,
     held_out: bool,
 ) -> tuple[Gain, Predictions]:
-    """The gain with a bootstrap interval over starts in blocks as long as a prediction."""
+    """The gain with a bootstrap interval over starts in blocks as long as a prediction with its run-in."""
     errors = [_missed(p[:, begin:], measured[:, begin:], noise) for p in (before, after)]
     scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
 
@@ -188,7 +188,7 @@ def gain(
     starts = len(times)
     rng = np.random.default_rng(0)
     stride = float(np.median(np.diff(times[:, 0]))) if starts > 1 else HORIZON
-    block = max(1, min(math.ceil(HORIZON / stride), starts // 3))
+    block = max(1, min(math.ceil((times[0, -1] - times[0, 0]) / stride), starts // 3))
     firsts = rng.integers(0, starts, (RESAMPLES, -(-starts // block)))
     drawn = (firsts[:, :, None] + np.arange(block)) % starts
     ratios = [ratio(index) for index in drawn.reshape(RESAMPLES, -1)]

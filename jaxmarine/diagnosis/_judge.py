@@ -29,6 +29,6 @@ def judged(bench: Workbench, model: Model) -> Judged:
     """The model with what its residual says, by one linearisation."""
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
-    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.samples) + 0.01
-    white = bool(stats.chi2.sum() / bench.samples < size and phi < 1.6)
+    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.freedom) + 0.01
+    white = bool(stats.chi2.sum() / bench.freedom < size and phi < 1.6)
     return Judged(model, stats, phi, knots(bench, model), white)

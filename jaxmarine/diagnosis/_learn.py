@@ -82,10 +82,13 @@ def learn(k: Knots, found: tuple[Dependence, ...], thrusters: tuple[str, ...]) -
 
     The knots' statistics are those of whole trajectories, so this is the trajectory loss to second order,
     at the price of a curve fit. The best of several restarts is kept. A force that hangs on the past of a
-    command is left out, since a network has no memory, and one that changes with time over several logs.
+    command is left out, since a network has no memory, and one that changes with time over several logs; so
+    is one of which only the size is known.
     """
     several = k.places.log.max() > 0
-    found = tuple(one for one in found if not (one.remembers or (several and "t" in one.signals)))
+    found = tuple(
+        one for one in found if not (one.remembers or one.size_only or (several and "t" in one.signals))
+    )
     if not found:
         return ()
     sizes = {one.axis: float(np.nanstd(missing_wrench(k).wrench[:, one.axis])) for one in found}

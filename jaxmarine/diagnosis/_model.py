@@ -117,6 +117,8 @@ class Workbench:
     """The saturated problem with its compiled programs; everything the search asks of the windows.
 
     It holds no state of the search: a `Model` goes in, a `Model` comes out.
+
+    - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
     """
 
     def __init__(
@@ -137,6 +139,7 @@ class Workbench:
         self.base = base_coefficients(vehicle, layout)
         self.count = data.windows.count
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
+        self.freedom = float(max(self.samples - self.count * _starts(data, vehicle), 1))
         self.window_log = np.asarray(data.windows.log)
         self.room = Room.of(data.records, data.windows)
         # No more than samples: a knot without one would stand for nothing.
@@ -493,6 +496,16 @@ class Workbench:
         """A suspect's columns in the screening's order."""
         columns = self.layout.columns[suspect]
         return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
+
+
+def _starts(data: Cut, vehicle: Vehicle) -> int:
+    """Numbers of a window's start that its samples determine: they take as many degrees of freedom.
+
+    Of each axis its velocity, where anything of it is measured, and its position where that is.
+    """
+    measured = (np.asarray(data.windows.weight) > 0).any(axis=(0, 1)).reshape(3, 6)
+    free = np.asarray(vehicle.free) > 0
+    return int((measured[0] & free).sum() + (measured.any(axis=0) & free).sum())
 
 
 def filled(rows: np.ndarray) -> np.ndarray:

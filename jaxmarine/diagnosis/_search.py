@@ -324,6 +324,7 @@ def search(
             break
         one, stats = decided
         rounds.append(one)
+        held = []
         model, stats = _weighted(bench, one.trials[0].model, stats)
         progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
         if len(model.members) > 1 and hopeless(model):

@@ -8,9 +8,11 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._knots import Knots, missing_wrench, on_axis
@@ -36,6 +38,12 @@ SWINGS = 12
 # Pulls to zero of the regressors' coefficients, relative to what the data say of one: the one that predicts
 # left-out windows best is taken. Pulled too little, many shapes follow the noise, and hide what they explain.
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0)
+# How many times as much is missing where the craft is driven as where it is not, if only the size of what is
+# missing is to speak.
+AMID_MOTION = 10.0
+# By how much rank correlations of two signals with what is missing may differ if they are not to be told
+# apart, and the probability that chance alone is taken for such a correlation.
+ALIKE, CHANCE = 0.1, 1e-3
 # Share of the strongest saving that another axis must have: a strong missing force reaches others through
 # the coupled mass.
 SMALLEST = 0.02
@@ -47,8 +55,9 @@ class Dependence:
 
     - `saved`: chi-square saved on left-out windows; `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
-    - `features`: the regressors' values at the knots; `remembers`: it hangs on the past of a command, since
-      without the plays it saves less than half.
+    - `features`: the regressors' values at the knots, none where only the size of the wrench goes with the
+      signals; `remembers`: it hangs on the past of a command, since without the plays it saves less than
+      half.
     """
 
     axis: int
@@ -57,6 +66,10 @@ class Dependence:
     saved: float
     features: Float[np.ndarray, "windows knots features"]
     remembers: bool
+
+    @property
+    def size_only(self) -> bool:
+        return not self.features.shape[-1]
 
     @property
     def dof(self) -> str:
@@ -264,7 +277,7 @@ def dependences(
     k: Knots,
     phi: float,
     undisturbed: Signals | None = None,
-    samples: float = np.inf,
+    freedom: float = np.inf,
 ) -> tuple[Dependence, ...]:
     """Axes with a missing wrench that depends on signals, the strongest first.
 
@@ -272,7 +285,7 @@ def dependences(
     - `undisturbed`: velocities as the commands alone give them. A disturbance moves the craft, so the
       measured velocity goes with it without being its cause; these do not. They are the instruments of
       an instrumental-variable regression (Young 2011): where they save nothing, nothing depends. Unless
-      the measured ones save most of what noise of so many `samples` does not account for: no disturbance
+      the measured ones save most of what noise with so much `freedom` does not account for: no disturbance
       is a function of the motion.
     """
     ledger = _Ledger(k)
@@ -288,8 +301,8 @@ def dependences(
         if found and gain.sum() < SMALLEST * found[0].saved:
             break
         left.remove(axis)
-        excess = k.stats.chi2.sum() - samples - sum(one.saved for one in found)
-        plain = np.isfinite(excess) and gain.sum() > MOST_OF * max(excess, 0.0)
+        excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
+        plain = 0.0 < MOST_OF * excess < gain.sum()
         if t_value(gain) < (SIGMAS_OF_MOST if plain else SIGMAS):
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed)):
@@ -303,6 +316,36 @@ def dependences(
         found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
         ledger.add(axis, ledger.wrench(axis, values))
     return tuple(found)
+
+
+def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float) -> tuple[Dependence, ...]:
+    """The command or velocity with which the size of what is missing goes, where its value goes with nothing.
+
+    No disturbance asks whether the craft is driven: what is `AMID_MOTION` times as large in the third of the
+    windows in which a signal is large as in the third in which it is small is not one. Velocities are those
+    that the commands alone give.
+    """
+    moved = k.places.signals | (undisturbed or {})
+    names = [n for n in moved if n in k.places.commanded or (undisturbed and n in undisturbed)]
+    activity = {n: np.sqrt((moved[n] ** 2).mean(axis=1)) for n in names}
+    chi2, third = k.stats.chi2, len(k.stats.chi2) // 3
+    ranks: Any = {n: stats.spearmanr(a, chi2) for n, a in activity.items() if np.ptp(a) > 0}
+    alike = {n: float(rank.statistic) for n, rank in ranks.items()}
+    order = sorted(alike, key=lambda n: -alike[n])
+    if not order or not third:
+        return ()
+    best = order[0]
+    order_of = np.argsort(activity[best])
+    gross = chi2[order_of[-third:]].mean() > AMID_MOTION * chi2[order_of[:third]].mean()
+    if not gross or alike[best] < 0 or ranks[best].pvalue * len(alike) > CHANCE:
+        return ()
+    ledger = _Ledger(k)
+    axis = int(np.argmax((ledger.weight * ledger.y**2).sum(axis=(0, 1)) * (np.asarray(k.free) > 0)))
+    tied = tuple(n for n in order[1:] if alike[n] > alike[best] - ALIKE)
+    saved = float(chi2.sum() - freedom)
+    empty = np.zeros((*k.places.t.shape, 0))
+    enough = saved > 2 * phi * np.log(len(alike)) + 10.0
+    return (Dependence(axis, (best,), tied, saved, empty, remembers=False),) if enough else ()
 
 
 def _causal(

@@ -17,7 +17,7 @@ from ._model import Model, Workbench
 from ._search import MARGIN
 from ._settle import pruned
 from ._signals import Signals
-from ._unknown import Dependence, cost_of_removal, dependences, explained
+from ._unknown import Dependence, cost_of_removal, dependences, explained, size_only
 
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where unknown dependences alone leave less than the second share of what they leave, or
@@ -35,7 +35,10 @@ def with_unknown(
     """What the residual depends on, and the model without members that only stood in for that."""
     while not now.white:
         progress("looking for what the residual depends on")
-        unknown = _dependences(bench, now, extended_by(bench, now.model, dense))
+        vehicle = extended_by(bench, now.model, dense)
+        unknown = _dependences(bench, now, vehicle)
+        if not (unknown or now.model.members or dense):
+            unknown = size_only(now.knots, now.phi, _undisturbed(bench, vehicle), bench.freedom)
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
             return now, unknown
@@ -50,10 +53,11 @@ def with_unknown(
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
     # Coefficients of the file may be off before anything is unknown: coupling terms, which no refit has
     # touched, and beside named causes those that were held to name them.
-    _, precision, _ = bench.known(dataclasses.replace(now.model, frozen=not now.model.members))
+    held = now.model.frozen and not now.model.members
+    _, precision, _ = bench.known(dataclasses.replace(now.model, frozen=held))
     missing = dataclasses.replace(now.knots, precision=precision)
     bent = missing.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
-    return dependences(bent, now.phi, _undisturbed(bench, vehicle), float(bench.samples))
+    return dependences(bent, now.phi, _undisturbed(bench, vehicle), bench.freedom)
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
@@ -106,27 +110,27 @@ class Unnamed:
         bent = dataclasses.replace(self.start, frozen=False, weight=self.judged.phi)
         _, precision, _ = self.bench.known(bent)
         free = dataclasses.replace(self.judged.knots, precision=precision)
-        return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.samples, 0.0)
+        return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.freedom, 0.0)
 
     def better(self, model: Model) -> bool:
         """Whether several members leave clearly more than unknown dependences alone would."""
-        rest, count = 2 * model.cost - self.bench.samples, len(model.members)
+        rest, count = 2 * model.cost - self.bench.freedom, len(model.members)
         share = ALONE if count == 2 else CROWD
-        return count > 1 and rest > PLENTY * self.bench.samples and self.leaves_less(rest, share)
+        return count > 1 and rest > PLENTY * self.bench.freedom and self.leaves_less(rest, share)
 
     def leaves_less(self, rest: float, share: float) -> bool:
         """Whether it leaves less than a share of `rest`, and not by chance."""
         if not self.dependences:
             return False
         shapes = sum(one.features.shape[-1] for one in self.dependences)
-        chance = DEAR * (shapes + MARGIN) * (self.rest / self.bench.samples + 1.0)
+        chance = DEAR * (shapes + MARGIN) * (self.rest / self.bench.freedom + 1.0)
         return self.rest < min(share * rest, rest - chance)
 
 
 def left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
     """Chi-square beyond the noise that a model leaves together with unknown dependences."""
     saved = explained(now.knots, unknown) - explained(now.knots, ())
-    return max(2 * now.model.cost - saved - bench.samples, 0.0)
+    return max(2 * now.model.cost - saved - bench.freedom, 0.0)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
