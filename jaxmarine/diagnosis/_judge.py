@@ -30,5 +30,5 @@ def judged(bench: Workbench, model: Model) -> Judged:
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
     size = 1.0 + 5.0 * np.sqrt(2.0 / bench.freedom) + 0.01
-    white = bool(stats.chi2.sum() / bench.freedom < size and phi < 1.6)
+    white = bool(stats.chi2.sum() / bench.freedom < size and phi < 1.6 and not bench.raised)
     return Judged(model, stats, phi, knots(bench, model), white)
