@@ -123,8 +123,10 @@ def test_roll_outs_come_to_the_same(tmp_path):
 def test_least_squares_come_to_the_same(tmp_path):
     single, bootstrap = ran("least_squares", tmp_path)["tables"]
     assert max(differences(single).values()) < ROUNDED
-    # Gram matrices square a condition number of 1e3.
-    assert max(differences(bootstrap).values()) < 1e-8
+    off = differences(bootstrap)
+    # Plain Gram matrices square a condition number of 1e3.
+    assert off.pop("Gram matrices of windows") < 1e-8
+    assert max(off.values()) < ROUNDED
 
 
 def test_quick_levenberg_marquardt_reaches_what_it_is_asked_for(tmp_path):

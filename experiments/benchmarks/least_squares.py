@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from experiments.benchmarks._rounds import Run, Table, Target, benchmark, compared, report
 from jaxmarine.fitting import solve_linear
-from jaxmarine.fitting._least_squares import _resampled
+from jaxmarine.fitting._least_squares import members_of, resample_linear
 
 OURS, LOOP = "jaxmarine", "numpy, a loop of lstsq"
 
@@ -76,12 +76,11 @@ def bootstrap(samples: int, columns: int, windows: int, resamples: int, rounds: 
         return np.array(out)
 
     def ours() -> Run:
-        ones = jnp.ones((1, *right.shape))
-        given = jnp.asarray(matrix)[None], jnp.asarray(right)[None], ones, jnp.asarray(group)[None], keys
-        return lambda: _resampled(*given, windows)
+        given = jnp.asarray(matrix), jnp.asarray(right), jnp.asarray(members_of(group)), keys
+        return lambda: resample_linear(*given)
 
     def of_windows() -> Run:
-        """One Gram matrix per window, weighed by how often it was drawn."""
+        """One Gram matrix per window, weighed by how often it was drawn: squares the condition number."""
 
         @jax.jit
         def run(matrix, right, counts):
