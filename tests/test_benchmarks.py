@@ -129,6 +129,7 @@ def test_least_squares_come_to_the_same(tmp_path):
     assert max(off.values()) < ROUNDED
 
 
+@pytest.mark.slow
 def test_quick_levenberg_marquardt_reaches_what_it_is_asked_for(tmp_path):
     _, equal = ran("levenberg_marquardt", tmp_path)["tables"]
     assert set(differences(equal).values()) == {0.0}

@@ -48,7 +48,7 @@ CASADI = "casadi, compiled by gcc"
 
 def held(plant: Plant, state: State, drive: Input) -> State:
     """The package's step."""
-    return hold(plant, state, drive, DT, backward=True)
+    return hold(plant, state, drive, DT)
 
 
 def solved(plant: Plant, state: State, drive: Input) -> State:

@@ -38,7 +38,7 @@ from experiments.benchmarks._forms import Dive, by_jax
 from experiments.benchmarks._rounds import benchmark, difference, machine, spelt
 from experiments.benchmarks._windows import Fitting, Networks, fitting, logged
 from experiments.benchmarks.gradient import gauss_newton_of, held, loss, residuals
-from experiments.benchmarks.rollout import held as rolled_out
+from experiments.benchmarks.rollout import held_many
 from jaxmarine.effects import Craft, Motion, WrenchEffect
 
 WINDOW = 40  # samples
@@ -171,10 +171,12 @@ def over_effects(counts: Sequence[int], seconds: float, rounds: int) -> Iterator
 def over_vehicles(counts: Sequence[int], steps: int, rounds: int) -> Iterator[Point]:
     for count in counts:
         dive = Dive.of(count, steps)
-        args = dive.vehicle.plant(), jnp.asarray(dive.starts), jnp.asarray(dive.wrenches)
-        last = by_jax(dive.model, args[1][-1], args[2][-1])
-        batch = jax.vmap(rolled_out, in_axes=(None, 0, 0))
-        yield measured(count, batch, args, rounds, lambda found, last=last: difference(found[-1], last))
+        starts, wrenches = jnp.asarray(dive.starts), jnp.asarray(dive.wrenches)
+        args = dive.vehicle.plant(), starts.T, jnp.moveaxis(wrenches, 0, -1)
+        last = by_jax(dive.model, starts[-1], wrenches[-1])
+        yield measured(
+            count, held_many, args, rounds, lambda found, last=last: difference(found[..., -1], last)
+        )
 
 
 def over_weights(hidden: Sequence[int], of: Callable[..., Point], rounds: int) -> Iterator[Point]:
