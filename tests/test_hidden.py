@@ -102,7 +102,8 @@ def test_two_effects_are_both_named(names, seed):
     assert whole(answer, diagnosis), (answer, diagnosis["findings"])
 
 
-@pytest.mark.parametrize(("name", "seed"), first_always(BEGUN.items()))
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), BEGUN.items())
 def test_an_effect_that_begins_is_named_with_its_beginning(name, seed):
     begun = dataclasses.replace(drawn(BOAT, name, seed), since=70.0)
     answer, diagnosis = answered(BOAT, [begun], seed)
@@ -158,7 +159,9 @@ def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
 
 
 @pytest.mark.parametrize(
-    ("seed", "options"), NOTHING.items(), ids=["exact file", "file wrong everywhere, disturbed"]
+    ("seed", "options"),
+    first_always(NOTHING.items()),
+    ids=["exact file", "file wrong everywhere, disturbed"],
 )
 def test_nothing_is_found_where_nothing_is_hidden(seed, options):
     answer, diagnosis = answered(BOAT, [], seed, **options)
