@@ -83,12 +83,12 @@ def _done(eqn: JaxprEqn, given: list[Value], size: int) -> list[Value]:
 
     if not any(flags):
         return [(value, False) for value in bound(*values)]
-    if name == "jit" and not (flags == [False, True] and _is_apply(eqn)):
+    if name == "jit" and not (flags == [False, True] and _is_apply(params["jaxpr"], *values)):
         return _run(params["jaxpr"], given, size)
     if name == "jit":
         out = [jnp.matmul(*values)]
     elif name in _ENTRYWISE:
-        shape = eqn.outvars[0].aval.shape
+        shape = jnp.broadcast_shapes(*(jnp.shape(v)[: jnp.ndim(v) - flag] for v, flag in given))
         out = bound(*(jnp.broadcast_to(_behind(v, len(shape), size), (*shape, size)) for v in given))
     elif name in _RULES:
         out = _RULES[name](bound, [_behind(v, jnp.ndim(v[0]) - v[1], size) for v in given], params)
@@ -97,13 +97,13 @@ def _done(eqn: JaxprEqn, given: list[Value], size: int) -> list[Value]:
     return [(value, True) for value in out]
 
 
-def _is_apply(eqn: JaxprEqn) -> bool:
-    """Whether this is a product of a matrix and a vector by `physics.apply`, and no derivative of one."""
-    if eqn.params["name"] != apply.__name__:
+def _is_apply(traced: ClosedJaxpr, first, second) -> bool:
+    """Whether this is `physics.apply` to one matrix and many vectors, and no derivative of it."""
+    if jnp.ndim(first) != 2 or jnp.ndim(second) != 2:
         return False
-    one = [jax.ShapeDtypeStruct(atom.aval.shape, atom.aval.dtype) for atom in eqn.invars]
-    # jax traces it once for arguments of a kind.
-    return eqn.params["jaxpr"] is apply.trace(*one).jaxpr
+    vector = jax.ShapeDtypeStruct(second.shape[:-1], second.dtype)
+    # jax traces a function once for arguments of a kind.
+    return traced is apply.trace(jax.ShapeDtypeStruct(first.shape, first.dtype), vector).jaxpr
 
 
 def _sliced(bound, values, params):
