@@ -13,7 +13,7 @@ from ._couplings import couplings
 from ._judge import Judged
 from ._model import FILE_ERROR, Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
-from ._score import scatter, solve
+from ._score import lasting, solve
 from ._search import CLOSE, ROUGH, STEPS, Round, penalty, putting_back
 
 
@@ -57,20 +57,37 @@ def _stated(bench: Workbench, member: Member, z: np.ndarray) -> dict[str, float]
     return values
 
 
-def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
-    """Covariance of z: of the model, or of the windows' own scatter where that disagrees by half.
+def spread(
+    g: Float[np.ndarray, "windows z"],
+    h: Float[np.ndarray, "z z"],
+    precision: Float[np.ndarray, " z"],
+    off: Float[np.ndarray, " z"],
+    white: bool,
+) -> Float[np.ndarray, "z z"]:
+    """Covariance of z, by what noise makes of the windows and by what the file is off.
 
-    Where more is left than sensor noise, what the file's other coefficients may be off by is added.
+    - Noise as stated, or the windows' own scatter: where that is larger by half, and wherever more is left
+      than sensor noise (not `white`).
+    - The file's coefficients are pulled back to what is filed: z ends short by that pull times what the file
+      is `off` by, zero where nothing is pulled. However heavy the prior is, it makes nothing better known.
     """
+    inverse = solve(h + np.diag(precision), np.eye(len(h)))
+    by_noise = inverse @ h @ inverse
+    ratio = np.sqrt(len(g) * lasting(g @ inverse) / np.maximum(np.diag(by_noise), 1e-300))
+    factor = np.where(white & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
+    pull = inverse * (precision * off)
+    return by_noise * np.outer(factor, factor) + pull @ pull.T
+
+
+def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
+    """Covariance of z; where more is left than sensor noise, with what the coefficients of the file that are
+    held may be off by."""
     known, precision, _ = bench.known(now.model)
-    g = now.stats.g @ known
-    h = known.T @ now.stats.h.sum(0) @ known + np.diag(precision)
-    inverse = solve(h, np.eye(len(h)))
-    model_std = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    scatter_std = np.sqrt(len(g) * scatter(g @ inverse))
-    ratio = scatter_std / np.maximum(model_std, 1e-300)
-    factor = np.where((ratio > 0.7) & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
-    covariance = inverse * np.outer(factor, factor)
+    off = np.zeros(len(precision))
+    for j in np.flatnonzero(~bench.held(now.model)):
+        off[j] = wrong_by(bench, now.model) / FILE_ERROR * bench.base[j].prior
+    h = known.T @ now.stats.h.sum(0) @ known
+    covariance = spread(now.stats.g @ known, h, precision, off, now.white)
     return covariance if now.white else covariance + _considered(bench, now, dense)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._compiled import compiled
 from .._errors import InputError, runaway
@@ -277,12 +277,17 @@ class Workbench:
             (jnp.asarray(np.array(rows)), jnp.asarray(filled(stretches.gates))),
         )
 
+    def held(self, model: Model) -> Bool[np.ndarray, " base"]:
+        """Which coefficients of the file may not bend; a member that always acts stands for its own."""
+        taken = {m.suspect for m in model.members if m.since is None}
+        return np.array(
+            [model.frozen or j in model.held or c.suspect in taken for j, c in enumerate(self.base)], bool
+        )
+
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
-        taken = {m.suspect for m in model.members if m.since is None}
         out = np.full(self.width(model.members), 1e-8)  # a trace, for what the data do not determine
-        for j, c in enumerate(self.base):
-            held = model.frozen or j in model.held or c.suspect in taken
+        for j, (c, held) in enumerate(zip(self.base, self.held(model), strict=True)):
             out[j] = (1e12 if held else model.weight) / c.prior**2
         return out
 
