@@ -4,9 +4,10 @@ usage: python -m experiments.blind_matrix --out DIR [--blocks 25] [--jobs 2] [--
 
 A block is 24 logs: 6 with nothing hidden, 8 with one effect, 4 with two, 3 with an effect outside the
 catalogue, 3 with one effect, a vehicle file that is 15 % wrong and a disturbance. Vehicles, effects,
-magnitudes, noise and manoeuvres are drawn at random from shuffled decks. The simulator and its step are
-not those of the diagnosis (`experiments/blind`). It goes on where it was cut. Writes results.json,
-results.md and the figures reliability and detection.
+magnitudes, noise and manoeuvres are drawn at random from shuffled decks; a third of the logs with nothing
+hidden and a fifth of those with effects are disturbed too. The simulator and its step are not those of the
+diagnosis (`experiments/blind`). It goes on where it was cut. Writes results.json, results.md and the figures
+reliability and detection.
 """
 
 import itertools
@@ -72,7 +73,7 @@ def written(out: Path, block: int, seed: int, ships: Sequence[str], content: dic
         low, high = SEVERITY.get(kind, cases.SEVERITIES.get(kind, (1.0, 1.0)))
         for number, severity in enumerate(cases.spread_severities(count, low, high, designer.rng)):
             folder = out / f"{kind.removesuffix('s')}_{block:02d}_{number}"
-            designer.write(folder, kind, number, float(severity))
+            designer.write(folder, kind, block * count + number, float(severity))
     done.touch()
 
 
