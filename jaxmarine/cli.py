@@ -205,6 +205,8 @@ def _write(result, out: Path) -> None:
         )
         since = "" if finding.since is None else f" since t = {finding.since:g} s of {finding.since_log}"
         _say(f"  {finding.label}{since}" + (f": {values}" if values else ""))
+    for one in result.rejected:
+        _say(f"  left out of {one.log}: t = {one.start:.1f} s to {one.end:.1f} s ({one.reason})")
     if result.depends_on:
         _say(f"  what is left depends on {', '.join(result.depends_on)}")
     for group in result.groups:

@@ -9,6 +9,7 @@ from .._errors import InputError
 from .._precision import need_double
 from .._progress import Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
+from ..fitting import reviewed
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
@@ -54,6 +55,8 @@ def diagnose(
     logs, test, doubled = named_apart(logs, test)
     notes += doubled
     moving(logs)
+    (*logs, test), told = reviewed(vehicle, (*logs, test))
+    logs, notes = tuple(logs), [*notes, *told]
     bench = workbench(vehicle, logs, catalogue, window)
     notes += stuck(bench)
     if test.duration < LEAST:
@@ -162,4 +165,5 @@ def diagnose(
         train=tuple(log.name for log in logs),
         test=test.name,
         notes=tuple(dict.fromkeys(notes)),
+        rejected=tuple(dict.fromkeys(one for log in (*logs, test) for one in log.rejected)),
     )

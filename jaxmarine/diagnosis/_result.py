@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..fitting import Check
+from ..logs import Rejected
 from ..vehicle import Vehicle
 
 Verdict = Literal["nothing_found", "explained", "partly_explained", "unexplained"]
@@ -150,6 +151,7 @@ class Diagnosis:
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
+    - `rejected`: stretches of the logs that were left out, with the reason.
     """
 
     verdict: Verdict
@@ -171,6 +173,7 @@ class Diagnosis:
     train: tuple[str, ...]
     test: str
     notes: tuple[str, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
 
     def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:
         """The causes of a group in words, as `jaxmarine plan --cause` takes them.
@@ -214,6 +217,7 @@ class Diagnosis:
                 "held_out": self.gain.held_out,
             },
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
+            "rejected": [dataclasses.asdict(one) for one in self.rejected],
             "excitation": [
                 {
                     "dof": axis.dof,

@@ -7,6 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from ..effects import CATALOGUE
+from ..fitting import reviewed
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, Candidate, gain, predictions
@@ -30,6 +31,7 @@ def gain_of(
     cause begins in a log that is not given.
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
+    (*logs, test), _ = reviewed(vehicle, (*logs, test))
     bench = workbench(vehicle, logs, CATALOGUE, None)
     names = [log.name for log in logs]
     model = bench.start()
