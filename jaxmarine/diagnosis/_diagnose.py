@@ -43,9 +43,9 @@ def diagnose(
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage.
 
-    Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the test
-    log measures nothing that they measure, and where effects have more parameters or begin at more times
-    than there is room for.
+    Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
+    runs away along them, where the test log measures nothing that they measure, and where effects have more
+    parameters or begin at more times than there is room for; `ValueError` in single precision.
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
     if not logs:
@@ -123,7 +123,17 @@ def diagnose(
         )
     std = standard_errors(bench, now, dense)
     findings = findings_of(bench, now, rounds, std) + tuple(
-        Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
+        Finding(
+            effect="unknown",
+            target=one.dof,
+            since=None,
+            since_log=None,
+            parameters={},
+            log_evidence=0.5 * one.saved / now.phi,
+            signals=one.signals,
+            learned=one.dof in {term.target for term in terms},
+        )
+        for one in unknown
     )
     if dense:
         notes.append(
