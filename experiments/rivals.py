@@ -5,7 +5,7 @@ usage: python -m experiments.rivals --cases DIR --out DIR [--count 40] [--seed 1
 DIR is a folder of logs with a known answer that `blind_matrix` wrote. A sample of them, with its shares of
 kinds and only what is detectable, goes to every method; each draws on the same catalogue, windows and
 compiled programs where it can. It goes on where it was cut. Writes results.json and results.md. Sparse
-regression needs `pip install 'jaxmarine[rivals]'`.
+regression needs `pip install '.[rivals]'`.
 """
 
 import dataclasses
@@ -124,7 +124,7 @@ def sparse(case: Case, rounds: int) -> Row:
     try:
         from pysindy.optimizers import STLSQ  # pyright: ignore[reportMissingImports]
     except ImportError:
-        message = "The sparse regression needs pysindy; install it with `pip install 'jaxmarine[rivals]'`."
+        message = "The sparse regression needs pysindy; install it with `pip install '.[rivals]'`."
         raise SystemExit(message) from None
     bench = case.bench()
     missed, added, of = library(bench)

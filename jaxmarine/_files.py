@@ -3,6 +3,7 @@
 import contextlib
 import difflib
 import os
+import re
 import tomllib
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +14,14 @@ import pydantic
 
 from ._errors import InputError
 
-_MAX_TOML_BYTES = 10_000_000
+# Larger than any file of ours that is read whole into memory.
+MOST_BYTES = 2**31
+_MOST_TOML_BYTES = 10_000_000
+# How deep tables may stand in one another. A dotted key of many parts is looked for before the file is
+# parsed, as the parser takes memory that goes with the square of them.
+_MOST_LEVELS = 32
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+_DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\s*\.\s*{_PART}){{{_MOST_LEVELS},}}")
 _Model = TypeVar("_Model", bound=pydantic.BaseModel)
 
 
@@ -29,30 +37,51 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
     raise InputError(f"{path}: cannot be read, because {found}; check the path.")
 
 
+def file_to_hold(path: str | os.PathLike[str], most: int = MOST_BYTES) -> Path:
+    """The path, if a file of at most `most` bytes stands there: one that is read into memory whole."""
+    path = existing_file(path)
+    size = path.stat().st_size
+    if size > most:
+        raise InputError(
+            f"{path}: has {size / 1e6:.0f} MB, but such a file has at most {most / 1e6:.0f} MB; check that "
+            "it is the right file."
+        )
+    return path
+
+
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file; every way to fail is one `InputError`."""
-    path = existing_file(path)
+    path = file_to_hold(path, _MOST_TOML_BYTES)
     try:
-        size = path.stat().st_size
-        if size > _MAX_TOML_BYTES:
-            raise InputError(
-                f"{path}: has {size / 1e6:.0f} MB, but a TOML file of ours has at most "
-                f"{_MAX_TOML_BYTES / 1e6:.0f} MB; check that it is the right file."
-            )
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        text = path.read_bytes().decode("utf-8-sig")
+        if _DEEP_KEY.search(text):
+            raise RecursionError
+        tables = tomllib.loads(text)
+        if _levels(tables) > _MOST_LEVELS:
+            raise RecursionError
+        return tables
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8 TOML.") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is not valid TOML: {error}; correct it there.") from error
     except (RecursionError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(
             f"{path}: is not usable TOML ({type(error).__name__}: nested too deeply, or a number "
             "with too many digits); check that it is the right file."
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read, because {_reason(error)}; check its rights.") from error
+
+
+def _levels(value: dict | list) -> int:
+    """How deep tables and lists stand in one another, counted without recursion."""
+    inside: list[Any] = [value]
+    levels = 0
+    while inside:
+        parts = (part for one in inside for part in (one.values() if isinstance(one, dict) else one))
+        inside = [part for part in parts if isinstance(part, dict | list)]
+        levels += 1
+    return levels
 
 
 @contextlib.contextmanager

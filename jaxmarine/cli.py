@@ -114,7 +114,7 @@ def diagnose(
     _note(*logs, held_out)
     with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
         result = _stoppable(lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell)
-    _write(result, out)
+    _write(result, out, said=_notes(*logs, held_out))
 
 
 def _read(paths: Sequence[Path], craft, columns) -> list:
@@ -177,9 +177,13 @@ def _say(text: str) -> None:
     _out.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
+def _notes(*logs) -> tuple[str, ...]:
+    """What reading the logs has changed or left out."""
+    return tuple(dict.fromkeys(note for log in logs for note in log.notes))
+
+
 def _note(*logs) -> None:
-    """Says what reading the logs has changed or left out."""
-    for note in dict.fromkeys(note for log in logs for note in log.notes):
+    for note in _notes(*logs):
         _say(note)
 
 
@@ -189,8 +193,8 @@ def _columns(path: Path | None):
     return None if path is None else read_columns(path)
 
 
-def _write(result, out: Path) -> None:
-    """Writes the results and says in a few lines what they are."""
+def _write(result, out: Path, said: Sequence[str] = ()) -> None:
+    """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
     from .reports import write_report
     from .vehicle_io import save_vehicle
 
@@ -207,16 +211,19 @@ def _write(result, out: Path) -> None:
         _say(f"  {finding.label}{since}" + (f": {values}" if values else ""))
     if result.depends_on:
         _say(f"  what is left depends on {', '.join(result.depends_on)}")
+    for note in result.notes:
+        if note not in said:
+            _say(f"  note: {note}")
     for group in result.groups:
         causes = " ".join(f'--cause "{words}"' for words in result.causes_of(group))
         _say(
             f"These logs cannot tell {' from '.join(group)}; for a manoeuvre that would, run\n"
             f"  jaxmarine plan --vehicle VEHICLE {causes}"
         )
-    low, high = result.gain.ratio_ci95
+    gain, (low, high) = result.gain, result.gain.ratio_ci95
     _say(
-        f"5 s prediction error on {result.test}: {result.gain.ratio:.3f} of what it was "
-        f"(95 %: {low:.3f} to {high:.3f}){'' if result.gain.held_out else ', not held out'}"
+        f"{gain.horizon:g} s prediction error on {result.test}: {gain.ratio:.3f} of what it was "
+        f"(95 %: {low:.3f} to {high:.3f}){'' if gain.held_out else ', not held out'}"
     )
     _say(f"Report: {page}")
 
@@ -283,7 +290,7 @@ def fit(
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
     prior: Annotated[
         float | None,
-        typer.Option("--prior", min=0.0, help="Relative width of a prior at the file's values."),
+        typer.Option("--prior", help="Relative width of a prior at the file's values."),
     ] = None,
     columns: ColumnsOption = None,
 ) -> None:
@@ -291,12 +298,20 @@ def fit(
     unknown = [name for name in free if name not in _FREE]
     if unknown:
         raise InputError(f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}.")
+    if len(set(free)) < len(free) or ("damping" in free and {"linear", "quadratic"} & {*free}):
+        raise InputError(
+            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`); once will do."
+        )
+    if prior is not None and not prior > 0:
+        raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
     _prepare()
     from .fitting import fit as run
     from .vehicle_io import load_vehicle, save_vehicle
 
     _file(out)
     craft = load_vehicle(vehicle)
+    if "thrust" in free and not craft.thruster_names:
+        raise InputError(f"--free thrust: {craft.name} has no thrusters; free something else.")
     columns_map = _columns(columns)
     logs = _read(train, craft, columns_map)
     _note(*logs)

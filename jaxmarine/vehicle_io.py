@@ -2,6 +2,8 @@
 
 import dataclasses
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._errors import InputError
-from ._files import did_you_mean, existing_file, validated, written_whole
+from ._files import did_you_mean, file_to_hold, validated, written_whole
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .physics import Slider
@@ -18,6 +20,21 @@ from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, rigid_bod
 from .vehicle_file import Slider as SliderTable
 
 _LEARNED = {cls.name: cls for cls in LEARNED}
+# The networks of a learned term hold some thousand numbers.
+_MOST_ARRAY_BYTES = 100_000_000
+# What reading a file raises that holds no such arrays.
+_DAMAGED = (
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    EOFError,
+    MemoryError,
+    RecursionError,
+    NotImplementedError,  # a way of packing that Python does not know
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 def suspect_named(craft, effect: str, target: str | None, catalogue=CATALOGUE) -> Suspect:
@@ -156,12 +173,16 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
 
 
 def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedTerm:
-    beside = existing_file(path.parent / str(entry.arrays))
+    beside = file_to_hold(path.parent / str(entry.arrays), _MOST_ARRAY_BYTES)
     try:
+        with zipfile.ZipFile(beside) as packed:
+            size = sum(part.file_size for part in packed.infolist())
+        if size > _MOST_ARRAY_BYTES:
+            raise ValueError(f"it claims {size / 1e6:.0f} MB when unpacked")
         with np.load(beside, allow_pickle=False) as stored:
             arrays = {name: np.asarray(stored[name], float) for name in stored.files}
         return _LEARNED[entry.effect].restored(arrays, file, entry.target, entry.inputs)
-    except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
+    except _DAMAGED as error:
         raise InputError(
             f"{beside}: is no file of arrays of a learned term ({error}); copy it once more from where the "
             "vehicle file was written."

@@ -1,5 +1,6 @@
 """What all tests share: double precision, strict shapes and fixed seeds."""
 
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,6 +49,21 @@ def _forgotten() -> Iterator[None]:
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 20_000:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_network() -> Iterator[None]:
+    """Every test runs without a network, whole diagnoses included."""
+
+    def refuse(*_arguments, **_keywords):
+        raise AssertionError("the network was asked for")
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("getaddrinfo", "gethostbyname", "create_connection"):
+            patch.setattr(socket, name, refuse)
+        for name in ("connect", "connect_ex", "sendto", "bind"):
+            patch.setattr(socket.socket, name, refuse)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -328,7 +328,7 @@ def test_several_problems_are_counted(tmp_path):
         (b"", "`schema` is missing"),
         (b"\x80\x81", "is not UTF-8 text"),
         (b"a = " + b"[" * 10_000, "is not usable TOML"),
-        (b"# " + b"x" * 10_000_001, "has 10 MB, but a TOML file of ours has at most 10 MB"),
+        (b"# " + b"x" * 10_000_001, "has 10 MB, but such a file has at most 10 MB"),
     ],
 )
 def test_a_file_that_is_no_vehicle_is_refused(tmp_path: Path, content, fragment):

@@ -21,7 +21,7 @@ from jaxmarine.examples import operator, recorded
 
 from .shell import exit_code
 
-COMMANDS = ("diagnose", "simulate", "fit", "check", "demo")
+COMMANDS = ("diagnose", "simulate", "fit", "check", "plan", "demo")
 
 
 @pytest.fixture
@@ -229,6 +229,13 @@ def test_time_in_milliseconds_is_noticed(jaxmarine, folder, command):
     assert "dive.csv: has a sample every 100 s" in one_sentence(err)
 
 
+def test_a_window_of_ones_own_does_not_let_slow_sampling_pass(jaxmarine, folder):
+    spoil_log(lambda table: table.assign(t=50 * table.t))(folder)
+    code, said, err = jaxmarine(*call("diagnose", folder), "--window", "100")
+    assert code == 2 and not said
+    assert "dive.csv: has a sample every 5 s" in one_sentence(err)
+
+
 def test_what_reading_a_log_left_out_is_said(jaxmarine, folder):
     spoil_log(lambda table: table.assign(battery=11.7))(folder)
     code, out, err = jaxmarine(*call("simulate", folder))
@@ -240,6 +247,20 @@ def test_what_is_fitted_has_a_known_name(jaxmarine, folder):
     code, _, err = jaxmarine(*call("fit", folder), "--free", "colour")
     assert code == 2
     assert "choose from damping" in one_sentence(err)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--free", "linear"], "names a coefficient twice"),
+        (["--prior", "0"], "--prior 0: is no width"),
+        (["--prior", "nan"], "--prior nan: is no width"),
+    ],
+)
+def test_what_no_fit_can_have_is_a_sentence(jaxmarine, folder, words, sentence):
+    code, said, err = jaxmarine(*call("fit", folder), *words)
+    assert code == 2 and not said
+    assert sentence in one_sentence(err)
 
 
 # --- what is written -----------------------------------------------------------------------------
@@ -339,7 +360,7 @@ def test_ctrl_c_ends_a_running_program_at_once(folder):
     # Well under a second on an idle machine; other tests run beside this one.
     assert time.monotonic() - stopped < 3.0
     assert running.returncode == 130 and err == "Stopped; nothing was written.\n"
-    assert not (folder / "report").exists()
+    assert not (folder / "new").exists()
 
 
 def test_what_was_found_before_a_stop_is_said(request):

@@ -107,6 +107,15 @@ def test_a_heading_in_degrees_contradicts_its_rate():
     assert "r contradict" in said and "units" in said
 
 
+def test_a_slow_log_is_too_coarse_to_tell_a_time_by():
+    """With a sample every 2 s there are two lags to try: one fewer than a parabola takes."""
+    log = record(boat(), steps(1200))
+    slow = {name: getattr(log, name)[::20] for name in ("t", "channels", "commands")}
+    log = dataclasses.replace(log, **slow)
+    said = apart(changed(log, slice(5, 6), np.rad2deg(log.channels[:, 5:6])))
+    assert said is not None and "contradict" in said
+
+
 def test_sensors_that_agree_or_whose_error_was_found_are_not_blamed():
     scale = VelocityScale(jnp.asarray(2.0))
     (clean,), (scaled,) = logs_of(), logs_of(scale)

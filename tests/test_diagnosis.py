@@ -36,8 +36,9 @@ DELAY = Effect("input_delay", None, {"delay": 0.25})
 SCALE = Effect("velocity_scale", None, {"factor": 1.08})
 DRAG = Effect("quadratic_damping", "sway", {"value": 15.0})
 
-QUICK = {"weak thruster": ("tethra", WEAK), "current": ("cybership2", CURRENT)}
+QUICK = {"weak thruster": ("tethra", WEAK)}
 SLOW = {
+    "current": ("cybership2", CURRENT),
     "late": ("tethra", LATE),
     "delay": ("tethra", DELAY),
     "scale": ("cybership2", SCALE),

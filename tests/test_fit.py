@@ -92,6 +92,18 @@ def test_planted_parameters_are_recovered_from_a_wrong_start():
     np.testing.assert_allclose([p.start for p in found.parameters], planted(start), atol=1e-12)
 
 
+@pytest.mark.parametrize("channels", ["x y psi", "u v r", "x y r", "psi u v", "u r"])
+def test_any_subset_of_the_channels_will_do(channels):
+    """Positions alone, velocities alone, no attitude rates, no heading: what is there is compared."""
+    log = record(boat(), steps())
+    seen = np.where(np.isin(CHANNELS, channels.split()), log.channels, np.nan)
+    found = fit(
+        wrong(boat(), 0.4, 2.5, 0.4), dataclasses.replace(log, channels=seen), everything, entries="nonzero"
+    )
+    std = np.array([p.std_model for p in found.parameters])
+    assert found.converged and (np.abs(values(found) - planted(boat())) < 4.0 * std).all()
+
+
 def test_starts_as_measured_recover_without_noise_and_nothing_else_is_taken():
     log = record(boat(), steps(), noise=dict.fromkeys(NOISE, 1e-6))
     found = fit(

@@ -50,6 +50,31 @@ def saved(table: pd.DataFrame, folder: Path, name: str = "run.csv") -> Path:
     return folder / name
 
 
+def test_rows_that_are_there_twice_or_swapped_are_put_in_order(tmp_path):
+    table = planar_table(20)
+    rows = [0, 1, 2, 4, 3, 5, 6, 7, 7, 8, *range(9, 20)]
+    log = read_log(saved(table.iloc[rows], tmp_path), PLANAR)
+    good = read_log(saved(table, tmp_path, "good.csv"), PLANAR)
+    assert np.array_equal(log.t, good.t) and np.array_equal(log.channels, good.channels, equal_nan=True)
+    assert np.array_equal(log.commands, good.commands)
+    assert any("there twice count once (1 of 21)" in note for note in log.notes)
+    assert any("another order are sorted by `t` (1 of 21 times back)" in note for note in log.notes)
+    assert not any("twice" in note or "order" in note for note in good.notes)
+
+
+@pytest.mark.parametrize("change", ["another sample", "a wrong time", "a clock that was set"])
+def test_times_that_are_wrong_otherwise_are_refused(tmp_path, change):
+    table = planar_table(40)
+    if change == "another sample":  # of the same time
+        table.loc[7, "t"] = table.loc[6, "t"]
+    elif change == "a wrong time":
+        table.loc[7, "t"] = table.loc[2, "t"] + 0.04
+    else:
+        table.loc[20:, "t"] -= 1.95
+    with pytest.raises(InputError, match="must strictly increase"):
+        read_log(saved(table, tmp_path), PLANAR)
+
+
 def log_of(t: np.ndarray, **channels: np.ndarray) -> Log:
     values = np.full((len(t), len(CHANNELS)), np.nan)
     for name, samples in channels.items():
@@ -517,7 +542,7 @@ def test_simulated_recordings_show_the_noise_that_they_were_given(shared):
     for folder in sorted((shared / "cases").glob("*/")):
         vehicle = read_vehicle_file(folder / "vehicle.toml")
         log = read_log(folder / "train.csv", vehicle)
-        assert log.notes == ()
+        assert all("is wrapped" in note for note in log.notes)
         stated = sensor_noise(log, vehicle.sensors.stated())
         ratio = estimate_noise(log) / stated
         assert np.nanmin(ratio) > 0.85 and np.nanmax(ratio) < 1.2, folder.name

@@ -157,7 +157,7 @@ CURRENT = Finding(
     },
     log_evidence=96.1,
 )
-STRANGE = Finding("unknown", "yaw", None, None, {}, 41.0)
+STRANGE = Finding("unknown", "yaw", None, None, {}, 41.0, signals=("r", "port", "t"), learned=True)
 
 ROUND = (
     Weighed("thruster_gain:port", 812.4, 1650.0, {"factor": 0.71}),
@@ -424,6 +424,17 @@ def test_an_unknown_cause_names_axis_signals_and_learned_term():
     assert "A moment in yaw acts on the vehicle that no known cause explains." in text
     assert "Look for what changes with the yaw rate r, command of port and time t." in text
     assert "carries a term learned from the log" in text
+    lost = dataclasses.replace(STRANGE, learned=False)
+    text = Reader(_page.page(dataclasses.replace(unexplained(), findings=(CURRENT, lost)))).text
+    assert "It was not learned" in text and "carries a term" not in text
+
+
+def test_a_file_that_was_refitted_is_not_called_right():
+    shown = dataclasses.replace(nothing(), recalibrated=diagnosis().recalibrated, misfit_before=9.0)
+    text = Reader(_page.page(shown)).text
+    assert "No single cause is to blame: 1 coefficient of the vehicle file" in text
+    assert "the vehicle file is off by 3 times the sensor noise, the extended vehicle by no more" in text
+    assert "Nothing is wrong" not in text and "Nothing to mend" not in text
 
 
 def test_a_vehicle_without_predictions_or_wrench_still_has_a_page(tmp_path):
@@ -610,13 +621,13 @@ def test_each_effect_has_its_sentence(name):
 def test_the_whole_catalogue_is_told():
     assert {effect.name for effect in CATALOGUE} | {"unknown"} == set(SENTENCES)
     for effect in CATALOGUE:
-        assert _words.advice(found(effect.name, None, {}), ()) != ""
+        assert _words.advice(found(effect.name, None, {})) != ""
 
 
 def test_an_effect_of_the_users_own_is_told_by_its_name():
     own = Finding("sail_force", None, None, None, {"area": Parameter(2.0, 0.2, "m²")}, 3.0)
     assert _causes.what(own, vehicle()) == "Sail force (area 2.0 ± 0.2 m²)."
-    assert _words.advice(own, ()) == ""
+    assert _words.advice(own) == ""
 
     class SailForce(Waves):
         """An effect that the catalogue does not know."""
@@ -625,7 +636,7 @@ def test_an_effect_of_the_users_own_is_told_by_its_name():
         advice = "reef the sail"
 
     placed = (Placed(SailForce.neutral(vehicle())),)
-    assert _words.advice(own, (), placed) == "Reef the sail."
+    assert _words.advice(own, placed) == "Reef the sail."
 
 
 def test_numbers_keep_the_digits_that_their_error_leaves():

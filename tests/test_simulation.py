@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from experiments.blind import plant as blind
+from experiments.blind import vehicle as blind_vehicle
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import (
     ConstantWrench,
@@ -351,6 +352,21 @@ def test_effects_begin_when_they_are_told():
     assert np.abs(unwrapped(track.channels - expected))[:, :12].max() < 1e-3  # as without effects
     before = simulate(vehicle, log_of(vehicle, t, commands), start).channels[t < since - 1e-9]
     assert np.array_equal(track.channels[t < since - 1e-9], before)
+
+
+def test_the_independent_plant_follows_damping_that_is_faster_than_its_step():
+    """Minesniper's roll at 0.4 rad/s is braked at 300 times its speed a second, its step is 0.025 s.
+
+    A step of 0.025 s would make it run away; at half the speed it settles on a roll that no damping allows.
+    """
+    craft = blind_vehicle.load("minesniper")
+    commands = np.zeros((40, len(craft.names), 1))
+    commands[:, 0] = 0.4
+    start = np.zeros((13, 1))
+    start[[2, 6, 9, 10, 11], 0] = 3.0, 0.9, 0.4, -0.1, 0.3
+    schedule = [(0, blind.Model(craft))]
+    runs = [blind.simulate(schedule, commands, start, 40, step=step) for step in (0.025, 0.001)]
+    assert np.abs(runs[0].states - runs[1].states).max() < 1e-4  # of 0.4 rad/s
 
 
 def test_gates_follow_time_log_and_order():

@@ -294,7 +294,10 @@ def test_a_foreign_table_in_other_axes_keeps_its_rows(tmp_path, kind):
     assert max(errors(log).values()) < 1e-6
     assert np.isnan(log.channels[40, 3:6]).all() and samples(log, "psi") == len(log.t) - 1
     assert np.allclose(log.commands, made.commands(log.t + 1e-6), atol=1e-9)
-    assert log.notes == ("Columns that nothing knows are ignored: `mood`.",)
+    assert log.notes == (
+        "Columns that nothing knows are ignored: `mood`.",
+        "Column `psi` is wrapped 2 times; it counts modulo a turn.",
+    )
 
 
 def test_a_data_frame_in_our_names_is_a_log():

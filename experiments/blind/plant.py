@@ -14,6 +14,7 @@ or N m].
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -223,6 +224,14 @@ class Model:
             out += [(a + k * h, h, shift) for k in range(pieces)]
         return out
 
+    def fastest(self, velocity: Array) -> float:
+        """Rate at which damping brakes the fastest mode at velocities (6, B) [1/s]."""
+        linear, quadratic = -self.water_form[:, :6], -self.water_form[:, 6:12]
+        speed = np.abs(velocity).max(axis=1)
+        if not np.isfinite(speed).all():
+            return 0.0
+        return float(np.abs(np.linalg.eigvals(self.inverse @ (linear + 2.0 * quadratic * speed))).max())
+
     def decay(self, h: float) -> Array:
         """Share of a thrust deviation left after h [s], (thrusters, 1); none without lag."""
         lag = np.where(self.lag > 0.0, self.lag, 1.0)
@@ -302,6 +311,8 @@ def simulate(
 ) -> Run:
     """Classical Runge-Kutta from `start` (13, B) over `samples` rows of held commands.
 
+    In steps of at most `step` [s], halved until one is no longer than the fastest damping takes.
+
     - `schedule`: models and the sample from which each acts, the first from 0.
     - `commands` (rows, thrusters, B): row `lead` is the command of the first sample; the rows
       before it serve the delay, and the first row held for ever before.
@@ -320,12 +331,19 @@ def simulate(
     ends = [k for k, _ in schedule[1:]] + [samples]
     for (first, model), last in zip(schedule, ends, strict=True):
         drive = model.drive(commands)
-        steps = [(o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in model.intervals(dt, step)]
+
+        @cache
+        def steps(halvings: int, model: Model = model) -> list[tuple[float, float, Array, Array, Array]]:
+            parts = model.intervals(dt, step / 2**halvings)
+            return [(o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in parts]
+
         alive = model.decay(0.0)
         lagging = bool(alive.any())
         for k in range(first, last):
             extra = 0.0 if disturbance is None else disturbance[lead + k]
-            for number, (offset, h, shift, half, whole) in enumerate(steps):
+            # Beyond 2.8 times the rate the method settles on motions that no damping allows.
+            halvings = max(0, math.ceil(np.log2(max(model.fastest(s[6:12]) * step, 1e-9))))
+            for number, (offset, h, shift, half, whole) in enumerate(steps(halvings)):
                 t = t0 + k * dt + offset
                 target = drive[np.maximum(lead + k + shift, 0), each]
                 f0 = fm = f1 = target

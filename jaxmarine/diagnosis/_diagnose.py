@@ -9,6 +9,7 @@ from .._errors import InputError
 from .._precision import need_double
 from .._progress import Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
+from ..fitting import reviewed
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
@@ -42,9 +43,9 @@ def diagnose(
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage.
 
-    Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the test
-    log measures nothing that they measure, and where effects have more parameters or begin at more times
-    than there is room for.
+    Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
+    runs away along them, where the test log measures nothing that they measure, and where effects have more
+    parameters or begin at more times than there is room for; `ValueError` in single precision.
     """
     logs = (train,) if isinstance(train, Log) else tuple(train)
     if not logs:
@@ -54,6 +55,8 @@ def diagnose(
     logs, test, doubled = named_apart(logs, test)
     notes += doubled
     moving(logs)
+    (*logs, test), told = reviewed(vehicle, (*logs, test))
+    logs, notes = tuple(logs), [*notes, *told]
     bench = workbench(vehicle, logs, catalogue, window)
     notes += stuck(bench)
     if test.duration < LEAST:
@@ -120,7 +123,17 @@ def diagnose(
         )
     std = standard_errors(bench, now, dense)
     findings = findings_of(bench, now, rounds, std) + tuple(
-        Finding("unknown", one.dof, None, None, {}, 0.5 * one.saved / now.phi) for one in unknown
+        Finding(
+            effect="unknown",
+            target=one.dof,
+            since=None,
+            since_log=None,
+            parameters={},
+            log_evidence=0.5 * one.saved / now.phi,
+            signals=one.signals,
+            learned=one.dof in {term.target for term in terms},
+        )
+        for one in unknown
     )
     if dense:
         notes.append(
@@ -162,4 +175,5 @@ def diagnose(
         train=tuple(log.name for log in logs),
         test=test.name,
         notes=tuple(dict.fromkeys(notes)),
+        rejected=tuple(dict.fromkeys(one for log in (*logs, test) for one in log.rejected)),
     )

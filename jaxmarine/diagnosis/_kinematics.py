@@ -7,7 +7,7 @@ make the contradiction look like noise.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.flatten_util
@@ -36,6 +36,8 @@ GROSS = 0.5
 # contradict one another where a velocity is off by so many standard deviations and by this share of its size.
 AGREES, AT_ANOTHER_TIME, LATEST = 0.3, 0.5, 2.0
 OFF, SHARE = 5.0, 0.2
+# Lags that must be there to tell a time by: a slowly sampled log has fewer.
+FEWEST_LAGS = 6
 # Refits with each channel weighed by what the last one has left of it.
 REFITS = 3
 
@@ -136,18 +138,9 @@ def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray,
     now = apart(logs)
     if now.excess < AGREES:
         return None
-    dt = float(np.median([log.dt for log in logs]))
-    most, step = round(LATEST / dt), max(1, round(SPAN / 10 / dt))
-    lags = [lag for lag in range(-most, most + 1, step) if lag]
-    kinds = {"positions and attitude come": slice(0, 6), "attitude comes": slice(3, 6)}
-    left = {what: [apart(_moved(logs, which, lag)).excess for lag in lags] for what, which in kinds.items()}
-    what = min(left, key=lambda kind: min(left[kind]))
-    best = int(np.argmin(left[what]))
-    if left[what][best] < AT_ANOTHER_TIME * now.excess:
-        # The lowest point of a parabola: the noise moves the least of the lags tried by one or two.
-        near = slice(max(best - 4, 0), best + 5)
-        bend, slope, _ = np.polyfit(lags[near], left[what][near], 2)
-        late = -0.5 * slope / bend * dt if bend > 0 else lags[best] * dt
+    at = _other_time(lambda which, lag: apart(_moved(logs, which, lag)).excess, logs, now.excess)
+    if at is not None:
+        what, late = at
         sense = "later" if late > 0 else "earlier"
         return f"The logged {what} about {abs(late):.1g} s {sense} than the velocities."
     bad = np.flatnonzero((now.off > OFF) & (now.share > SHARE))
@@ -157,6 +150,31 @@ def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray,
         f"{', '.join(CHANNELS[6 + i] for i in bad)} contradict what positions and attitude show, whatever "
         "forces act: check units, signs and frames of the sensors."
     )
+
+
+def _other_time(
+    excess: Callable[[slice, int], float], logs: Sequence[Log], now: float
+) -> tuple[str, float] | None:
+    """What comes at another time, and how late [s], if that explains most of what is apart; else None.
+
+    - `excess`: what is apart once some channels are taken so many samples earlier; `now`: as they are.
+    """
+    dt = float(np.median([log.dt for log in logs]))
+    most, step = round(LATEST / dt), max(1, round(SPAN / 10 / dt))
+    lags = [lag for lag in range(-most, most + 1, step) if lag]
+    if len(lags) < FEWEST_LAGS:
+        return None
+    kinds = {"positions and attitude come": slice(0, 6), "attitude comes": slice(3, 6)}
+    left = {what: [excess(which, lag) for lag in lags] for what, which in kinds.items()}
+    what = min(left, key=lambda kind: min(left[kind]))
+    best = int(np.argmin(left[what]))
+    if left[what][best] >= AT_ANOTHER_TIME * now:
+        return None
+    # The lowest point of a parabola: the noise moves the least of the lags tried by one or two.
+    near = slice(max(best - 4, 0), best + 5)
+    bend, slope, _ = np.polyfit(lags[near], left[what][near], 2)
+    late = -0.5 * slope / bend * dt if bend > 0 else lags[best] * dt
+    return what, float(np.clip(late, -LATEST, LATEST))
 
 
 def _moved(logs: Sequence[Log], which: slice, lag: int) -> list[Log]:

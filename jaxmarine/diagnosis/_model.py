@@ -2,9 +2,10 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -31,7 +32,7 @@ from ..fitting import (
     start_precision,
 )
 from ..logs import Log
-from ..vehicle import Vehicle
+from ..vehicle import Plant, Vehicle
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
 from ._signals import Places, places
@@ -382,12 +383,11 @@ class Workbench:
                 low, high = plausible.get(name, (-np.inf, np.inf))
                 if not low <= value <= high:
                     return False
-        plant_of, own = self.problem(model.members).plant_of, float(self.vehicle.body.matrix[0, 0])
+        own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
-        for segment, theta in enumerate(self.theta(model)[:met]):
-            plant = plant_of(jnp.asarray(theta), jnp.asarray(segment))
-            drive, rigid = plant.drive, np.asarray(plant.load.rigid)
-            mass = rigid + np.asarray(plant.load.added)
+        bodies = _bodies(self.problem(model.members).plant_of, jnp.asarray(self.theta(model)))
+        for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
+            mass = rigid + added
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
                 return False
             free = np.flatnonzero(self.vehicle.free)
@@ -396,8 +396,7 @@ class Workbench:
                 return False
             if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
                 return False
-            limits = jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation])
-            if float(jnp.min(limits, initial=0.0)) < -1e-9:
+            if least < -1e-9:
                 return False
         return True
 
@@ -528,6 +527,19 @@ def same_log(a: Log, b: Log) -> bool:
 @compiled
 def _linearise(problem, affine, delta, knots: int):
     return linearise(problem, affine, delta, knots)
+
+
+@compiled
+def _bodies(plant_of: Callable[..., Plant], theta: Float[Array, "segments slots"]):
+    """Rigid and added mass in each segment, and the least of the thrusters' limits and zero."""
+
+    def one(theta, segment):
+        plant = plant_of(theta, segment)
+        drive = plant.drive
+        limits = jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation])
+        return plant.load.rigid, plant.load.added, jnp.min(limits, initial=0.0)
+
+    return jax.vmap(one)(theta, jnp.arange(len(theta)))
 
 
 @dataclasses.dataclass(frozen=True)

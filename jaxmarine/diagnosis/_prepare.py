@@ -27,15 +27,13 @@ FEWEST = 6  # windows of a diagnosis
 
 
 def _window(logs: Sequence[Log], window: float | None) -> float:
-    if window is not None:
-        return window
     dt = float(np.median([log.dt for log in logs]))
     if dt > SLOWEST:
         raise InputError(
             f"{logs[0].name}: has a sample every {dt:g} s, too few to see how a vehicle moves; give t in "
             f"seconds, or take a log with a sample every {SLOWEST:g} s or faster."
         )
-    return window_length(sum(log.duration for log in logs), dt)
+    return window_length(sum(log.duration for log in logs), dt) if window is None else window
 
 
 def window_length(duration: float, dt: float) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..fitting import Check
+from ..logs import Rejected
 from ..vehicle import Vehicle
 
 Verdict = Literal["nothing_found", "explained", "partly_explained", "unexplained"]
@@ -28,7 +29,7 @@ def _label(effect: str, target: str | None) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Alternative:
-    """Another cause that was weighed, with its own log evidence over the model without either."""
+    """Another cause that was weighed, with its own log evidence [nats] over the model without either."""
 
     effect: str
     target: str | None
@@ -42,7 +43,14 @@ class Alternative:
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One cause: what it is, where, since when, how large, how sure."""
+    """One cause: what it is, where, since when, how large, how sure.
+
+    - `effect`, `target`: names of the catalogue; `unknown` and an axis where no effect explains the force.
+    - `since`: from when it acts [s, of the log `since_log`]; None: always.
+    - `log_evidence` [nats]: logarithm of the Bayes factor of the model with it over the one without it; of an
+      unknown force half the chi-square that it saves, over its dispersion.
+    - `signals`: on which an unknown force depends; `learned`: whether the extended vehicle carries it.
+    """
 
     effect: str
     target: str | None
@@ -51,6 +59,8 @@ class Finding:
     parameters: dict[str, Parameter]
     log_evidence: float
     alternatives: tuple[Alternative, ...] = ()
+    signals: tuple[str, ...] = ()
+    learned: bool = False
 
     @property
     def label(self) -> str:
@@ -150,6 +160,7 @@ class Diagnosis:
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
+    - `rejected`: stretches of the logs that were left out, with the reason.
     """
 
     verdict: Verdict
@@ -171,6 +182,7 @@ class Diagnosis:
     train: tuple[str, ...]
     test: str
     notes: tuple[str, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
 
     def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:
         """The causes of a group in words, as `jaxmarine plan --cause` takes them.
@@ -199,6 +211,8 @@ class Diagnosis:
             out["alternatives"] = list(out["alternatives"])
             if f.since_log is None:
                 del out["since_log"]
+            if f.effect != "unknown":
+                del out["signals"], out["learned"]
             return out
 
         return {
@@ -214,6 +228,9 @@ class Diagnosis:
                 "held_out": self.gain.held_out,
             },
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
+            "recalibrated": [dataclasses.asdict(one) for one in self.recalibrated],
+            "rejected": [dataclasses.asdict(one) for one in self.rejected],
+            "notes": list(self.notes),
             "excitation": [
                 {
                     "dof": axis.dof,

@@ -337,8 +337,13 @@ def _weighted(bench: Workbench, model: Model, stats: Reduced) -> tuple[Model, Re
     phi = dispersion(bench, model, stats)
     if 1 / SAME < phi / model.weight < SAME:
         return model, stats
-    model = bench.refine(dataclasses.replace(model, weight=phi))
-    return model, bench.screen(model)
+    model = dataclasses.replace(model, weight=phi)
+    bent = bench.refine(model)
+    if not bench.sound(bent):
+        # Without the weight they had bent until they mean nothing, and do not find back from there.
+        anew = bench.refine(bench.as_filed(model))
+        bent = min(bent, anew, key=lambda m: (not bench.sound(m), m.cost))
+    return bent, bench.screen(bent)
 
 
 def _decided(

@@ -157,17 +157,15 @@ def _left_out(
     x = np.ones((*y.shape, count + 1))
     x[..., :-1] = (values - centre) / np.maximum(spread, 1e-9)
     pull = total * np.diag([*np.ones(count), 0.0])
-    fold = blocks(len(y))
-    out = np.zeros((len(RIDGES), *y.shape))
-    for b in np.unique(fold):
-        left = fold == b
-        rest = np.convolve(left, [1, 1, 1], "same") == 0
-        seen = x[rest].reshape(-1, count + 1)
-        weighted = (seen * weight[rest].reshape(-1, 1)).T
-        h, g = weighted @ seen, weighted @ y[rest].ravel()
-        for i, ridge in enumerate(RIDGES):
-            out[i, left] = x[left] @ np.linalg.solve(h + ridge * pull, g)
-    return out
+    weighted = np.swapaxes(x * weight[..., None], 1, 2)
+    names, fold = np.unique(blocks(len(y)), return_inverse=True)
+    rest = np.array([np.convolve(fold == b, [1, 1, 1], "same") == 0 for b in range(len(names))], float)
+    h = np.tensordot(rest, weighted @ x, 1)
+    g = rest @ (weighted @ y[..., None])[..., 0]
+    # All folds and ridges at once: there are thousands of sets of regressors to try.
+    pulled = h[:, None] + np.array(RIDGES)[:, None, None] * pull
+    fitted = np.linalg.solve(pulled, g[:, None, :, None])[..., 0]
+    return np.moveaxis(x @ np.swapaxes(fitted[fold], 1, 2), 2, 0)
 
 
 class _Ledger:
@@ -187,24 +185,36 @@ class _Ledger:
         n = k.width
         self.g, self.h = k.stats.g[:, n:], k.stats.h[:, n:, n:]
 
-    def chi2(self, axis: int, wrench: np.ndarray) -> Float[np.ndarray, " windows"]:
-        """Change of each window's chi-square by a wrench on an axis and those found already."""
-        push = (self.known + on_axis(axis, wrench[..., None])[..., 0]).reshape(len(wrench), -1)
-        bent = (self.h @ push[..., None])[..., 0]
-        return ((2 * self.g + bent) * push).sum(axis=1)
+    def chi2(
+        self, axis: int, wrenches: Float[np.ndarray, "some windows knots"]
+    ) -> Float[np.ndarray, "some windows"]:
+        """Change of each window's chi-square by some wrenches on an axis, each beside those found already."""
+        push = np.tile(self.known, (len(wrenches), 1, 1, 1))
+        push[..., axis] += wrenches
+        push = np.moveaxis(push.reshape(*push.shape[:2], -1), 0, 2)
+        return ((2 * self.g[..., None] + self.h @ push) * push).sum(axis=1).T
+
+    def _predicted(self, axis: int, values: np.ndarray):
+        """What regressors predict of the missing wrench on left-out windows, pulled to zero as suits them.
+
+        And by how much it changes each window's chi-square.
+        """
+        pulled = _left_out(self.y[..., axis], self.weight[..., axis], values)
+        costs = self.chi2(axis, pulled)
+        best = int(np.argmin(costs.sum(axis=1)))
+        return pulled[best], costs[best]
 
     def wrench(self, axis: int, values: np.ndarray) -> Float[np.ndarray, "windows knots"]:
-        """What regressors predict of the missing wrench on left-out windows, pulled to zero as suits them."""
-        pulled = _left_out(self.y[..., axis], self.weight[..., axis], values)
-        return min(pulled, key=lambda wrench: self.chi2(axis, wrench).sum())
+        """What regressors predict of the missing wrench on left-out windows."""
+        return self._predicted(axis, values)[0]
 
     def saved(self, axis: int, values: np.ndarray) -> Float[np.ndarray, " windows"]:
         """Chi-square saved on each window, beyond a constant, by regressors fitted on the others."""
-        return self._constant(axis) - self.chi2(axis, self.wrench(axis, values))
+        return self._constant(axis) - self._predicted(axis, values)[1]
 
     def _constant(self, axis: int) -> Float[np.ndarray, " windows"]:
         if axis not in self._constants:
-            self._constants[axis] = self.chi2(axis, self.wrench(axis, np.zeros((*self.y.shape[:2], 0))))
+            self._constants[axis] = self._predicted(axis, np.zeros((*self.y.shape[:2], 0)))[1]
         return self._constants[axis]
 
     def add(self, axis: int, wrench: np.ndarray) -> None:

@@ -6,12 +6,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
+from .._precision import need_double
 from ..effects import CATALOGUE
+from ..fitting import reviewed
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, Candidate, gain, predictions
 from ._model import Beginning, Member, Model, Workbench, filled
-from ._prepare import workbench
+from ._prepare import begun_with, rescaled, workbench
 from ._result import Gain
 
 LEAST = HORIZON + 4.0  # [s] of a log on which a gain is measured
@@ -26,11 +28,15 @@ def gain_of(
 ) -> Gain:
     """What given causes buy on the test log, refitted from their values: what naming them is worth.
 
-    As `diagnose` measures it, without a search; raises `InputError` where the catalogue lacks a cause or a
-    cause begins in a log that is not given.
+    As `diagnose` measures it, without a search. Raises `InputError` where the catalogue lacks a cause, where
+    one begins in a log that is not given, and where the vehicle runs away along the logs; `ValueError` in
+    single precision.
     """
+    need_double("A gain")
     logs = (train,) if isinstance(train, Log) else tuple(train)
+    (*logs, test), _ = reviewed(vehicle, (*logs, test))
     bench = workbench(vehicle, logs, CATALOGUE, None)
+    bench = rescaled(bench, begun_with(bench)[0])
     names = [log.name for log in logs]
     model = bench.start()
     for cause in causes:
@@ -45,7 +51,7 @@ def gain_of(
                 )
             since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
-    return measured_gain(bench, bench.refine(model), bool(causes), (), test)[0]
+    return measured_gain(bench, bench.fitted(model), bool(causes), (), test)[0]
 
 
 def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:

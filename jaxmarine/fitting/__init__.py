@@ -50,6 +50,7 @@ from ._linearise import (
     linearise as linearise,
 )
 from ._noise import noise_of as noise_of
+from ._review import reviewed as reviewed
 from ._rollout import (
     Problem as Problem,
 )

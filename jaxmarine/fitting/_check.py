@@ -24,6 +24,7 @@ from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._free import set_free
 from ._noise import at_residual, noise_of
+from ._review import reviewed
 from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
@@ -111,6 +112,7 @@ class Check:
     - `misfit`: chi-square per sample of the file, 1 for noise alone.
     - `advice`: what to do next, sentence by sentence.
     - `logs`: their names; `duration` [s]; `windows` of the length `window` [s].
+    - `notes`: what was found in the logs, accidents that were left out and clocks that differ.
     """
 
     vehicle: str
@@ -124,6 +126,7 @@ class Check:
     undetermined: tuple[Combination, ...]
     misfit: float
     advice: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def __getitem__(self, dof: str) -> AxisCheck:
         """The axis of that name, such as `pitch`."""
@@ -141,6 +144,7 @@ class Check:
         lines += [f"not determined by the data: {one}" for one in self.undetermined[:_SHOWN]]
         more = len(self.undetermined) - _SHOWN
         lines += [f"... and {more} more such combinations"] if more > 0 else []
+        lines += [f"note: {note}" for note in self.notes]
         lines += [f"next: {sentence}" for sentence in self.advice]
         return "\n".join(lines)
 
@@ -164,6 +168,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     if not logs:
         raise InputError("A check needs at least one log.")
     need_double("A check")
+    logs, notes = reviewed(vehicle, logs)
     freed, scales = _diagonals(vehicle)
     acting = segments(vehicle, logs)
     split = substeps(vehicle, float(np.median([log.dt for log in logs])))
@@ -179,7 +184,8 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
         refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
         raise runaway(logs[0].name, vehicle.name)
-    return evaluated(vehicle, logs, task, refined, freed.names, window)
+    found = evaluated(vehicle, logs, task, refined, freed.names, window)
+    return dataclasses.replace(found, notes=notes)
 
 
 def evaluated(

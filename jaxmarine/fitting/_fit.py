@@ -17,6 +17,7 @@ from ._estimate import Estimate, Units, units
 from ._free import Select, Selection, set_free
 from ._noise import noise_of
 from ._one_step import fit_one_step
+from ._review import reviewed
 from ._trajectory import fit_trajectory
 from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 
@@ -43,6 +44,7 @@ class Fit:
     - `coverage`: the motion that the fit has seen, per free axis.
     - `loss`, `window` [s], `noise` [18]: settings that it was made with.
     - `rejected`: times at which windows begin that were left out [s, of their log].
+    - `notes`: what was found in the logs, accidents that were left out and clocks that differ.
     """
 
     vehicle: Vehicle
@@ -57,6 +59,7 @@ class Fit:
     window: float
     noise: Float[np.ndarray, "18"]
     rejected: Float[np.ndarray, " rejected"]
+    notes: tuple[str, ...]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -79,6 +82,7 @@ class Fit:
 
     def __repr__(self) -> str:
         lines = [*_table(self.parameters), *_undetermined(self), *_coverage(self), _ending(self)]
+        lines += [f"note: {note}" for note in self.notes]
         return "\n".join(lines)
 
 
@@ -126,7 +130,9 @@ def fit(
     - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle
       states, else estimated from the logs.
 
-    The total mass matrix stays symmetric and positive definite, whatever is free of it.
+    The total mass matrix stays symmetric and positive definite, whatever is free of it. Accidents that a
+    log shows are left out (`Log.rejected`); `reject` makes the loss robust against what else the model lacks
+    in a few windows.
 
     Raises `InputError` for logs that cannot be fitted (none, too short, too slowly sampled, nothing that ever
     changes), `ValueError` for arguments that no fit can have and without double precision, and, with `throw`,
@@ -144,6 +150,7 @@ def fit(
         )
     if reject and loss == "one_step":
         raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
+    logs, notes = reviewed(vehicle, logs)
     noise = noise_of(vehicle, logs) if noise is None else noise
     freed, scales = set_free(vehicle, free, prior, entries, dissipative)
     z_units = units(freed, scales)
@@ -168,6 +175,7 @@ def fit(
         window=window,
         noise=noise,
         rejected=estimate.rejected,
+        notes=notes,
     )
 
 

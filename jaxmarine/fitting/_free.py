@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
+from .._errors import InputError
 from .._types import DOFS, Matrix6
 from ..vehicle import Plant, Vehicle
 
@@ -330,7 +331,7 @@ def _remainder(matrix: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.n
     inverse = np.linalg.inv(np.linalg.cholesky(inside + np.diag(np.diag(matrix) == 0)))
     least = 1.0 + np.linalg.eigvalsh(inverse @ (matrix - inside) @ inverse.T).min()
     if least <= 0:
-        raise ValueError(
+        raise InputError(
             "The entries that are held do not leave the start's matrix positive; free those off the diagonal "
             "as well, or start with smaller ones."
         )

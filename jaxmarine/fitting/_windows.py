@@ -130,7 +130,7 @@ def cut(
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
 
     The first begins where the thrusters have forgotten what they were told before the log. None spans a
-    gap of more than five samples.
+    gap of more than five samples or touches a stretch that is left out (`Log.rejected`).
 
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
@@ -184,7 +184,10 @@ def cut(
         measured = np.where(usable, log.channels, 0.0)
         for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
             here = slice(first, first + size)
+            begin, *_, end = t[here]
             if np.diff(t[here]).max() > 5.5 * dt:
+                continue
+            if any(one.start <= end and begin <= one.end for one in log.rejected):
                 continue
             parts["log"].append(g)
             parts["step"].append(np.arange(first, first + size))

@@ -20,7 +20,7 @@ from ._states import body_rates
 # smoother passes goes with the sixth root of the strength, so a step widens it by an eighth.
 _STRENGTHS = 10.0 ** np.arange(-10.0, 1.1, 1 / 3)
 # The covariance of value, slope and curvature after one unit of time, for a strength of one.
-_SPREAD = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+SPREAD = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
 # Variance before the first sample, in units of noise² and dt: nothing is known then.
 _UNKNOWN = 1e8
 
@@ -70,7 +70,7 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
     velocity = np.einsum("tji,tj->ti", turn, slope[:, :3])
     # d/dt (R' p') = R' p'' - w x R' p'; the rates are linear in the slopes of the angles.
     pushed = np.einsum("tji,tj->ti", turn, bend[:, :3]) - np.cross(rates, velocity)
-    turned = body_rates(attitude, bend[:, 3:]) + _by_attitude(attitude, slope[:, 3:])
+    turned = body_rates(attitude, bend[:, 3:]) + by_attitude(attitude, slope[:, 3:])
     return Kinematics(
         t=log.t,
         position=value[:, :3],
@@ -107,7 +107,7 @@ def _step(length: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition of value, slope and curvature over a step, and the covariance that it adds."""
     scale = length ** np.array([2.0, 1.0, 0.0])
     forward = np.array([[1.0, length, length**2 / 2], [0.0, 1.0, length], [0.0, 0.0, 1.0]])
-    return forward, length * scale[:, None] * _SPREAD * scale
+    return forward, length * scale[:, None] * SPREAD * scale
 
 
 def _forward(steps: np.ndarray, samples: np.ndarray, strengths: np.ndarray):
@@ -144,7 +144,7 @@ def _backward(steps: np.ndarray, filtered: list) -> np.ndarray:
     return np.array(smoothed[::-1])
 
 
-def _by_attitude(
+def by_attitude(
     attitude: Float[np.ndarray, "times 3"], slope: Float[np.ndarray, "times 3"]
 ) -> Float[np.ndarray, "times 3"]:
     """What p q r change by because the angles do, at constant rates of the angles [rad/s²]."""

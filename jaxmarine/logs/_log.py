@@ -1,11 +1,29 @@
 """The log of one run, as arrays."""
 
+import dataclasses
+from typing import Literal
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
 from .._types import CHANNELS
+
+Reason = Literal["collision", "surfacing", "take-over"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Rejected:
+    """A stretch of the log of that name in which something acted that is no property of the vehicle.
+
+    From `start` until `end` [s, the log's own time].
+    """
+
+    log: str
+    start: float
+    end: float
+    reason: Reason
 
 
 class Log(eqx.Module):
@@ -16,7 +34,8 @@ class Log(eqx.Module):
     - `commands`: one column per thruster and, behind them, the sliding mass, in the order of
       `command_names`; held until the next sample.
     - `wrench`: applied control wrench X Y Z K M N at `o`, body axes [N, N m]; held likewise.
-    - `name`: the file's name; `notes`: what was done or ignored on reading, sentence by sentence.
+    - `name`: the file's name; `notes`: its history, what was done, found or ignored, sentence by sentence.
+    - `rejected`: stretches that are left out: their channels are NaN, and no window touches them.
 
     Either `commands` or `wrench` drives the vehicle; the other one is None.
     """
@@ -28,6 +47,7 @@ class Log(eqx.Module):
     command_names: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    rejected: tuple[Rejected, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         times = len(self.t)
@@ -83,4 +103,5 @@ class Log(eqx.Module):
             command_names=self.command_names,
             name=self.name,
             notes=self.notes,
+            rejected=tuple(one for one in self.rejected if one.start < t1 and one.end >= t0),
         )

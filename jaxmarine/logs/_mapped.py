@@ -1,6 +1,7 @@
 """A foreign file's columns under their names in the contract, all on one clock."""
 
 import datetime
+import itertools
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -22,6 +23,9 @@ from ._table import Table, numbers, place, read_table
 _ABSURD = 1e12
 # A clock that shows more than this counts from 1970, not from when it was started; and until when it can [s].
 _SINCE_1970, _YEAR_3000 = 1e9, 3.25e10
+# Rows were only stored in another order where none is late by more than this [s], and where sorted the steps
+# between them are the usual one within this share.
+_LATE, _REGULAR = 1.0, 0.3
 
 
 class MappedFile:
@@ -70,6 +74,39 @@ class MappedFile:
         """One of the file's columns [rows], in its own units."""
         return numbers(self._table, column, self.path)
 
+    def put_in_order(self) -> None:
+        """Rows that are there twice count once, rows that were only stored in another order are sorted.
+
+        Times that are wrong otherwise stay, for the rules for times to tell. Notes say what was done.
+        """
+        t = self["t"]
+        if not len(t) or not np.isfinite(t).all() or np.all(np.diff(t) > 0):
+            return
+        order = np.argsort(t, kind="stable")
+        cells = np.stack([self[name] for name in self._sources], axis=1)[order]
+        twins = [np.array_equal(*pair, equal_nan=True) for pair in itertools.pairwise(cells)]
+        again = np.append(False, twins).astype(bool)
+        kept = order[~again]
+        moved = np.append(False, np.diff(kept) < 0)
+        steps = np.diff(t[kept], prepend=np.nan, append=np.nan)
+        beside = np.concatenate([steps[:-1][moved], steps[1:][moved]])
+        beside = beside[np.isfinite(beside)] / np.nanmedian(steps)
+        late = np.maximum.accumulate(t) - t
+        if late.max() > _LATE or np.any(np.diff(t[kept]) <= 0) or np.any(np.abs(beside - 1) > _REGULAR):
+            return
+        self._table = {name: self._table[name].iloc[kept].reset_index(drop=True) for name in self._table}
+        place_in_file = self.place
+        self.place = lambda row: place_in_file(int(kept[row]))
+        if again.any():
+            self.notes.append(
+                f"Rows that are there twice count once ({np.count_nonzero(again)} of {len(t)})."
+            )
+        if moved.any():
+            self.notes.append(
+                f"Rows that were stored in another order are sorted by {self.label('t')} "
+                f"({np.count_nonzero(moved)} of {len(t)} times back)."
+            )
+
     @property
     def file_names(self) -> list[str]:
         return [name for name in self._table if name]
@@ -98,6 +135,8 @@ def open_mapped(
     table = read_table(source)
     sources = _of_table(path, table, vehicle, columns)
     file = MappedFile(path, table, sources)
+    if "t" in file and (columns is None or columns.keeps_rows):
+        file.put_in_order()
     if columns is None or (columns.keeps_rows and columns.keeps_axes):
         return file
     if "t" in file and columns.keeps_rows and not np.all(np.diff(file["t"]) > 0):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNELS, SENSORS
+from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNEL_UNITS, CHANNELS, SENSORS
 from ._log import Log
 
 # Samples per divided difference: lines, cubics and quintics through the neighbours. The short one
@@ -17,6 +17,8 @@ _MAD_TO_STD = 1.4826
 # number in SI units, would outweigh all others for no physical reason.
 _FINEST_SHARE = 1e-3
 _FINEST = 1e-6
+# A stated noise is doubtful where the estimate, which sees fast motion as well, is off by this factor.
+_DOUBTFUL = 3.0
 
 
 def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) -> Float[np.ndarray, "18"]:
@@ -34,6 +36,25 @@ def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) ->
     return noise
 
 
+def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[str]:
+    """Sentences on sensors whose noise is not what the vehicle file states, by far more than chance."""
+    notes = []
+    estimated = estimate_noise(log)
+    for kind, stated in sensors.items():
+        found = estimated[np.isin(CHANNELS, SENSORS[kind])]
+        if stated is None or not np.isfinite(found).any():
+            continue
+        noise = float(np.nanmedian(found))
+        if not 1 / _DOUBTFUL < noise / stated < _DOUBTFUL:
+            unit = CHANNEL_UNITS[SENSORS[kind][0]]
+            notes.append(
+                f"{log.name}: the samples of {kind} scatter by about {noise:.2g} {unit}, but the vehicle "
+                f"file states a noise of {stated:.2g} {unit}, which is used; correct it under [sensors], or "
+                "leave it out there to have it estimated."
+            )
+    return notes
+
+
 def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
     """Standard deviation of what no smooth motion explains, per channel, NaN where unmeasured or constant.
 
@@ -42,7 +63,7 @@ def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
     by dividing by their norm. The median over the log is insensitive to jumps and outliers.
     Noise that is correlated from one sample to the next is only seen in part.
     """
-    jumps = _command_jumps(log)
+    jumps = command_jumps(log)
     noise = np.full(len(CHANNELS), np.nan)
     for index, name in enumerate(CHANNELS):
         finite = np.isfinite(log.channels[:, index])
@@ -69,7 +90,7 @@ def _noise(t: np.ndarray, values: np.ndarray, jumps: np.ndarray) -> float:
         changes = np.diff(values)
     if len(values) < max(_SPANS):
         return max(float(np.std(values)), _FINEST)
-    floor = max(_FINEST, _FINEST_SHARE * float(np.median(np.abs(changes))), _resolution(values))
+    floor = max(_FINEST, _FINEST_SHARE * float(np.median(np.abs(changes))), resolution(values))
     # With commands that change all the time no neighbourhood is without a jump.
     found = _difference_noises(t, values, jumps) or _difference_noises(t, values, jumps[:0])
     return max(floor, min(found))
@@ -100,7 +121,7 @@ def _difference_noise(times: np.ndarray, samples: np.ndarray) -> float:
     return _MAD_TO_STD * float(np.median(np.abs(np.sum(weights * samples, axis=1))))
 
 
-def _resolution(values: np.ndarray) -> float:
+def resolution(values: np.ndarray) -> float:
     """Rounding noise of a coarse sensor, step / sqrt(12); zero where the samples hardly repeat."""
     levels = np.unique(values)
     if len(levels) < 2 or len(levels) > len(values) / 2:
@@ -108,7 +129,7 @@ def _resolution(values: np.ndarray) -> float:
     return float(np.median(np.diff(levels))) / np.sqrt(12)
 
 
-def _command_jumps(log: Log) -> np.ndarray:
+def command_jumps(log: Log) -> np.ndarray:
     """Times just before the samples at which a command or the wrench is a new one [s]."""
     drive = log.commands if log.commands is not None else log.wrench
     assert drive is not None

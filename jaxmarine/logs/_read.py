@@ -10,6 +10,7 @@ import pandas as pd
 from .._errors import InputError
 from .._files import listed
 from .._types import ATTITUDE, CHANNELS, WRENCH
+from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
@@ -36,8 +37,8 @@ def read_log(
     - `columns`: where a foreign file keeps the columns of the contract, in which units and axes: a
       `ColumnMap` or the path of its TOML file. What holds messages needs one.
 
-    What is ignored or repaired stands in the log's `notes`; what cannot be used raises `InputError` with one
-    sentence.
+    Spikes and dropouts count as missing (`clean`). What is ignored or repaired stands in the log's `notes`;
+    what cannot be used raises `InputError` with one sentence.
     """
     if columns is not None and not isinstance(columns, ColumnMap):
         columns = read_columns(columns)
@@ -50,7 +51,7 @@ def read_log(
     _check_motion(file, channels, vehicle.dof)
     commands, wrench = _drive(file, vehicle)
     file.note_ignored()
-    return Log(
+    log = Log(
         t=t,
         channels=channels,
         commands=commands,
@@ -59,6 +60,7 @@ def read_log(
         name="DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name,
         notes=tuple(file.notes),
     )
+    return clean(log)
 
 
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:
@@ -125,6 +127,11 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
         )
     for name in hollow:
         file.notes.append(f"Column {file.label(name)} has no value and counts as not measured.")
+    for name in ATTITUDE:
+        values = channels[finite[:, CHANNELS.index(name)], CHANNELS.index(name)]
+        turns = np.count_nonzero(np.abs(np.diff(values)) > np.pi)
+        if turns:
+            file.notes.append(f"Column {file.label(name)} is wrapped {turns} times; it counts modulo a turn.")
     for name in ATTITUDE[:2]:
         if name in seen and np.nanmax(np.abs(channels[:, CHANNELS.index(name)])) > 2 * np.pi:
             file.notes.append(f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?")

@@ -1,9 +1,12 @@
 """A log file as a table of text or numbers, before anything is known of its meaning."""
 
 import decimal
+import gzip
+import io
 import os
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeAlias
@@ -14,11 +17,23 @@ import pyarrow
 import pyarrow.parquet
 
 from .._errors import InputError
-from .._files import existing_file, written_whole
+from .._files import MOST_BYTES, file_to_hold, written_whole
 from ._sources import read_matlab
 
 _WRITTEN = (".csv", ".csv.gz", ".parquet")
 _READ = (*_WRITTEN, ".mat")
+
+# What reading bytes that are no table raises; pandas' own parser errors are ValueErrors that name the line,
+# its notes in a Parquet file are JSON that may nest.
+_DAMAGED = (
+    OSError,
+    EOFError,
+    MemoryError,
+    RecursionError,
+    ValueError,
+    zlib.error,
+    pyarrow.ArrowException,
+)
 
 # Columns by their names, of one length, or of several in a MATLAB file.
 Table: TypeAlias = Mapping[str, pd.Series]
@@ -28,7 +43,7 @@ def read_table(source: str | os.PathLike[str] | pd.DataFrame) -> Table:
     """The columns of a data frame or of a CSV, Parquet or MATLAB file, names stripped and each there once."""
     if isinstance(source, pd.DataFrame):
         return _of_frame(source, "DataFrame")
-    path = existing_file(source)
+    path = file_to_hold(source)
     kind = _format(path, _READ)
     if kind == ".mat":
         return read_matlab(path)
@@ -38,8 +53,7 @@ def read_table(source: str | os.PathLike[str] | pd.DataFrame) -> Table:
         raise
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8 text; save it as a UTF-8 CSV file.") from error
-    except (OSError, EOFError, zlib.error, pyarrow.ArrowException, ValueError) as error:
-        # pandas' own parser errors are ValueErrors that name the line
+    except _DAMAGED as error:
         reason = " ".join(str(error).removeprefix("Error tokenizing data. C error: ").split())
         raise InputError(
             f"{path}: cannot be read as a {kind} file ({reason}); correct or export it again."
@@ -104,11 +118,10 @@ def _format(path: Path, formats: tuple[str, ...]) -> str:
 def _read_csv(path: Path, kind: str) -> Table:
     # Names and numbers are read apart: pandas would rename a column that is there twice, and would
     # take the first column for row labels where the rows are one cell longer than the header.
-    compression = "gzip" if kind == ".csv.gz" else None
+    text = _unpacked(path) if kind == ".csv.gz" else path.read_bytes()
     try:
         header = pd.read_csv(
-            path,
-            compression=compression,
+            io.BytesIO(text),
             header=None,
             nrows=1,
             dtype=str,
@@ -123,8 +136,7 @@ def _read_csv(path: Path, kind: str) -> Table:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
-                path,
-                compression=compression,
+                io.BytesIO(text),
                 header=None,
                 skiprows=1,
                 skipinitialspace=True,
@@ -144,11 +156,28 @@ def _read_csv(path: Path, kind: str) -> Table:
     return _of_frame(table, path)
 
 
+def _unpacked(path: Path) -> bytes:
+    with gzip.open(path) as packed:
+        text = packed.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
+        raise InputError(
+            f"{path}: is more than {MOST_BYTES / 1e6:.0f} MB when unpacked; check that it is the right file."
+        )
+    return text
+
+
 def _read_parquet(path: Path) -> Table:
+    claimed = pyarrow.parquet.read_metadata(path)
     names = pyarrow.parquet.read_schema(path).names
     if not names:
         raise InputError(f"{path}: is empty; a log has columns with names, and rows.")
     _checked_names(names, path)
+    size = 8 * claimed.num_rows * len(names)
+    if size > MOST_BYTES:
+        raise InputError(
+            f"{path}: claims {claimed.num_rows} rows of {len(names)} columns, {size / 1e6:.0f} MB when "
+            f"unpacked, but a log has at most {MOST_BYTES / 1e6:.0f} MB; check that it is the right file."
+        )
     return _of_frame(pyarrow.parquet.read_table(path).to_pandas(), path)
 
 
@@ -161,9 +190,9 @@ def _of_frame(frame: pd.DataFrame, path: object) -> Table:
 
 def _checked_names(names: list[str], path: object) -> list[str]:
     names = [name.strip() for name in names]
-    for name in names:
-        if name and names.count(name) > 1:
-            raise InputError(f"{path}: has {names.count(name)} columns named `{name}`; keep or rename one.")
+    for name, count in Counter(names).items():
+        if name and count > 1:
+            raise InputError(f"{path}: has {count} columns named `{name}`; keep or rename one.")
     if len(names) == 1 and any(separator in names[0] for separator in ";\t"):
         raise InputError(
             f"{path}: separates its columns by semicolons or tabs; write commas between columns "

@@ -152,7 +152,7 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
     return Card(
         heading=title(finding.label),
         what=what(finding, diagnosis.vehicle),
-        advice=words.advice(finding, diagnosis.depends_on, diagnosis.extended.placed),
+        advice=words.advice(finding, diagnosis.extended.placed),
         sure=words.sureness(finding.log_evidence)
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,

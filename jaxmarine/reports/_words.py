@@ -21,14 +21,16 @@ def _effects(placed: Sequence[Placed]) -> dict[str, type[AbstractEffect]]:
     return {effect.name: effect for effect in (*CATALOGUE, *(type(one.effect) for one in placed))}
 
 
-def advice(finding: Finding, depends_on: Sequence[str], placed: Sequence[Placed] = ()) -> str:
+def advice(finding: Finding, placed: Sequence[Placed] = ()) -> str:
     """What to look at on the boat; `placed`: the effects of the extended vehicle."""
     if finding.effect == "unknown":
         look = (
-            f"Look for what changes with the {joined([signal(name) for name in depends_on])}."
-            if depends_on
+            f"Look for what changes with the {joined([signal(name) for name in finding.signals])}."
+            if finding.signals
             else "The residual names no signal; look at the missing wrench over time below."
         )
+        if not finding.learned:
+            return f"{look} It was not learned, so the extended vehicle lacks it too."
         return (
             f"{look} Until its cause is known, the extended vehicle carries a term learned from "
             "the log: good for prediction, no explanation."
@@ -105,6 +107,9 @@ def verdict(diagnosis: Diagnosis) -> str:
         if strange
         else ("something that no known cause explains is left")
     )
+    if diagnosis.verdict == "nothing_found" and diagnosis.recalibrated:
+        refitted = count(len(diagnosis.recalibrated), "coefficient")
+        return f"No single cause is to blame: {refitted} of the vehicle file were refitted together."
     if diagnosis.verdict == "nothing_found":
         return "Nothing is wrong that these logs could show: the vehicle file explains them."
     if diagnosis.verdict == "unexplained":
@@ -128,7 +133,7 @@ def explanation(diagnosis: Diagnosis) -> str:
     """Below the verdict: how well the logs are explained now, and what is left."""
     before, after = _times_noise(diagnosis.misfit_before), _times_noise(diagnosis.misfit_after)
     text = f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
-    if diagnosis.verdict != "nothing_found":
+    if diagnosis.verdict != "nothing_found" or diagnosis.recalibrated:
         text += f", the extended vehicle by {after}"
     return f"{text}. {remainder(diagnosis)}"
 
@@ -157,6 +162,8 @@ def gain_words(diagnosis: Diagnosis) -> str:
     """What the extension buys, in one sentence."""
     gain = diagnosis.gain
     low, high = gain.ratio_ci95
+    if diagnosis.verdict == "nothing_found" and diagnosis.recalibrated:
+        return "No cause was added, so there is no gain to state; refitted coefficients alone count as none."
     if diagnosis.verdict == "nothing_found":
         return "Nothing was added to the model, so its predictions stay what they were."
     return (

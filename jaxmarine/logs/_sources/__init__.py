@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from ..._errors import InputError
-from ..._files import existing_file
+from ..._files import existing_file, file_to_hold
 from ._bags import Bag
 from ._dataflash import DataFlash
 from ._matlab import read_matlab as read_matlab
@@ -26,4 +26,7 @@ def open_recording(path: Path, stamp: str) -> Recording:
         return Bag(path, stamp)
     if existing_file(path).stat().st_size == 0:
         raise InputError(f"{path}: is empty; check that the recording was not cut off.")
-    return RECORDINGS[path.suffix.lower()](path, stamp)
+    kind = RECORDINGS[path.suffix.lower()]
+    if kind is not Bag:  # bags hold pictures too, of which nothing is read
+        file_to_hold(path)
+    return kind(path, stamp)

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from ..._errors import InputError
+from ..._files import MOST_BYTES, file_to_hold
 from ._paths import FieldPath, Fields
 from ._series import Series, reading
 
+# How files begin; the library would look for the end of the first line in all of another one.
+_BEGINS = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
+# Of the list of topics in a folder.
+_MOST_METADATA = 10_000_000
 _ADVICE = "copy it again, or repair its index by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
-# A recorder's chunks hold some megabytes; one that claims this much is no recorder's.
-_MOST_IN_A_CHUNK = 2**31
 
 
 class Bag:
@@ -27,6 +30,8 @@ class Bag:
         self.notes: list[str] = []
         self._by_header = stamp == "header"
         self._is_first = path.suffix.lower() == ".bag" and path.is_file()
+        with self._reading():
+            _check_begins(path)
         with self._reading(), self._reader() as reader:
             self._types = {name: (topic.msgtype, topic.msgcount) for name, topic in reader.topics.items()}
         self.names = tuple(self._types)
@@ -113,6 +118,18 @@ class Bag:
             )
 
 
+def _check_begins(path: Path) -> None:
+    if path.is_dir():
+        file_to_hold(path / "metadata.yaml", _MOST_METADATA)
+    for file in path.iterdir() if path.is_dir() else [path]:
+        begins = _BEGINS.get(file.suffix.lower())
+        if begins is None:
+            continue
+        with file.open("rb") as stream:
+            if stream.read(len(begins)) != begins:
+                raise ValueError(f"{file.name} does not begin as such")
+
+
 def _header_time(message: object, fields: Fields) -> int | None:
     """The time in a message's header [ns], None without one or where it was left at zero."""
     stamp = message
@@ -124,11 +141,11 @@ def _header_time(message: object, fields: Fields) -> int | None:
 
 
 def _refuse_absurd_chunks(reader, path: Path) -> None:
-    """MCAP states how long each chunk is when unpacked; who claims too much is not believed."""
+    """MCAP states how long each chunk is when unpacked; a recorder's hold some megabytes."""
     whole = getattr(reader, "storage", None)  # a file, or a folder of several
     for storage in (whole, *getattr(whole, "storages", ())):
         for chunk in getattr(storage, "chunks", ()):
-            if chunk.uncompressed_size > _MOST_IN_A_CHUNK:
+            if chunk.uncompressed_size > MOST_BYTES:
                 raise InputError(
                     f"{path}: claims a chunk of {chunk.uncompressed_size / 1e9:.0f} GB, which no recorder "
                     "writes; record it anew."

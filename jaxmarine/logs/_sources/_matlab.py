@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from ..._errors import InputError
+from ..._files import MOST_BYTES
 from ._series import reading
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -22,8 +23,6 @@ _MATRIX, _COMPRESSED = 14, 15
 _STRUCTURE, _ARRAYS = 2, range(6, 16)
 _HEADER = 128
 _DEPTH = 16
-# A variable that claims to be longer than this when unpacked is no log's.
-_MOST = 2**31
 
 
 class _Element(NamedTuple):
@@ -50,9 +49,12 @@ def read_matlab(path: Path) -> dict[str, pd.Series]:
         if order is None:
             raise ValueError("it does not begin as such")
         columns: dict[str, pd.Series] = {}
+        room = MOST_BYTES
         for element in _elements(memoryview(content)[_HEADER:], order):
             if element.kind == _COMPRESSED:
-                element = next(_elements(_unpacked(element.data), order))
+                unpacked = _unpacked(element.data, room)
+                room -= len(unpacked)
+                element = next(_elements(unpacked, order))
             if element.kind == _MATRIX:
                 _add(columns, "", element.data, order, depth=0)
     return columns
@@ -73,9 +75,9 @@ def _elements(data: memoryview, order: str) -> Iterator[_Element]:
         at = begin + padded
 
 
-def _unpacked(data: memoryview) -> memoryview:
+def _unpacked(data: memoryview, room: int) -> memoryview:
     unpacker = zlib.decompressobj()
-    found = unpacker.decompress(data, _MOST)
+    found = unpacker.decompress(data, max(room, 1))  # 0 would be without limit
     if not unpacker.eof:
         raise ValueError("a compressed variable is cut off or too long")
     return memoryview(found)

@@ -1,0 +1,70 @@
+"""What drives a vehicle along a log: the wrench that was commanded, and the one that its motion takes."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .._compiled import compiled
+from ..logs import Log, StateTrack
+from ..physics import from_euler, thrust
+from ..vehicle import Input, Plant, State, Vehicle
+
+# An acceleration is read over this time on either side [s].
+HALF = 0.25
+# Logs are filled up to a multiple of as many samples, so that most share one program.
+_GRAIN = 1024
+
+
+class Driven(NamedTuple):
+    """Control wrenches at each sample, `o`, body axes [N, N m], zero on locked axes.
+
+    - `commanded`: over the sample's hold, by the vehicle as it is, without inflow loss.
+    - `needed`: by the motion, of which the acceleration is read over half a second.
+    - `able` [6]: the largest that commands can give on each axis; of a log of wrenches the largest in it.
+    """
+
+    commanded: Float[np.ndarray, "times 6"]
+    needed: Float[np.ndarray, "times 6"]
+    able: Float[np.ndarray, "6"]
+
+
+def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
+    """The wrenches along a log; `track`: its smoothed motion."""
+    t, plant = log.t, vehicle.plant()
+    ahead = np.stack([np.interp(t + HALF, t, one) for one in track.nu.T], axis=1)
+    behind = np.stack([np.interp(t - HALF, t, one) for one in track.nu.T], axis=1)
+    nu_dot = (ahead - behind) / (2 * HALF)
+    count = len(vehicle.thruster_names)
+    commands = np.zeros((len(t), count)) if log.commands is None else log.commands[:, :count]
+    more = -len(t) % _GRAIN
+    arrays = [
+        jnp.asarray(np.pad(a, [(0, more), (0, 0)], mode="edge"))
+        for a in (commands, track.position, track.attitude, track.nu, nu_dot)
+    ]
+    after = t[-1] + (t[-1] - t[-2]) * np.arange(1, more + 1)
+    given, needed = _wrenches(plant, jnp.asarray(np.append(t, after)), *arrays)
+    given, needed = np.asarray(given)[: len(t)], np.asarray(needed)[: len(t)]
+    if log.wrench is not None:
+        given, able = log.wrench, np.abs(log.wrench).max(axis=0)
+    else:
+        drive = plant.drive
+        able = np.abs(np.asarray(plant.allocation)) @ np.asarray(drive.max_thrust * drive.saturation)
+    return Driven(given * vehicle.free, needed * vehicle.free, able * vehicle.free)
+
+
+@compiled
+def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
+
+    def needed(position, attitude, nu, nu_dot, t):
+        state = State(position, from_euler(attitude), nu, jnp.zeros(6 if plant.has_memory else 0))
+        still = jnp.zeros(commands.shape[1])
+        return plant.balance(state, nu_dot, Input(still, still, jnp.zeros(6), t))
+
+    return (
+        thrust(drive, t, commands).mean @ plant.allocation.T,
+        jax.vmap(needed)(position, attitude, nu, nu_dot, t),
+    )
