@@ -44,8 +44,7 @@ SLOW = {
     "scale": ("cybership2", SCALE),
     "drag": ("cybership2", DRAG),
 }
-NOTHING = {"nothing": ("cybership2", None)}
-CASES = QUICK | SLOW | NOTHING
+CASES = QUICK | SLOW
 HIDDEN = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
 
 
@@ -53,10 +52,9 @@ HIDDEN = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)
 def diagnosed(case: str) -> tuple[dict, jm.Diagnosis, jm.Log]:
     """What the plant says of a case (`answer.json`), its diagnosis, and its test log."""
     vehicle, effect = CASES[case]
-    hidden = [] if effect is None else [effect]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        answer = make_case(folder, vehicle, hidden, 7, duration_train=TRAIN, duration_test=TEST)
+        answer = make_case(folder, vehicle, [effect], 7, duration_train=TRAIN, duration_test=TEST)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
     return answer, jm.diagnose(craft, train, test), test
@@ -103,16 +101,6 @@ def test_the_gain_is_what_the_cause_did_to_predictions(case):
     # What is left is sensor noise.
     assert diagnosis.white and not diagnosis.depends_on
     assert diagnosis.misfit_before > 1.5
-    assert diagnosis.misfit_after == pytest.approx(1.0, abs=0.05)
-
-
-def test_where_nothing_is_hidden_nothing_is_found():
-    _, diagnosis, _ = diagnosed("nothing")
-    assert diagnosis.verdict == "nothing_found"
-    assert diagnosis.findings == ()
-    assert diagnosis.gain.ratio == 1.0
-    assert diagnosis.white and not diagnosis.depends_on
-    assert diagnosis.extended.placed == ()
     assert diagnosis.misfit_after == pytest.approx(1.0, abs=0.05)
 
 

@@ -164,5 +164,9 @@ def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
     ids=["exact file", "file wrong everywhere, disturbed"],
 )
 def test_nothing_is_found_where_nothing_is_hidden(seed, options):
-    answer, diagnosis = answered(BOAT, [], seed, **options)
-    assert whole(answer, diagnosis), diagnosis["findings"]
+    answer, diagnosis = diagnosed(BOAT, [], seed, **options)
+    assert whole(answer, diagnosis.to_json()), diagnosis.findings
+    assert diagnosis.gain.ratio == 1.0 and diagnosis.extended.placed == ()
+    if not options:
+        assert diagnosis.white and not diagnosis.depends_on
+        assert diagnosis.misfit_after == pytest.approx(1.0, abs=0.05)
