@@ -14,7 +14,7 @@ or N m].
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -224,6 +224,10 @@ class Model:
             out += [(a + k * h, h, shift) for k in range(pieces)]
         return out
 
+    def steps(self, dt: float, step: float) -> list[tuple[float, float, Array, Array, Array]]:
+        """`intervals`, each with the `decay` over its half and over the whole."""
+        return [(o, h, i, self.decay(0.5 * h), self.decay(h)) for o, h, i in self.intervals(dt, step)]
+
     def fastest(self, velocity: Array) -> float:
         """Rate at which damping brakes the fastest mode at velocities (6, B) [1/s]."""
         linear, quadratic = -self.water_form[:, :6], -self.water_form[:, 6:12]
@@ -331,19 +335,14 @@ def simulate(
     ends = [k for k, _ in schedule[1:]] + [samples]
     for (first, model), last in zip(schedule, ends, strict=True):
         drive = model.drive(commands)
-
-        @cache
-        def steps(halvings: int, model: Model = model) -> list[tuple[float, float, Array, Array, Array]]:
-            parts = model.intervals(dt, step / 2**halvings)
-            return [(o, h, i, model.decay(0.5 * h), model.decay(h)) for o, h, i in parts]
-
+        steps_of = cache(partial(model.steps, dt))
         alive = model.decay(0.0)
         lagging = bool(alive.any())
         for k in range(first, last):
             extra = 0.0 if disturbance is None else disturbance[lead + k]
-            # Beyond 2.8 times the rate the method settles on motions that no damping allows.
+            # A step of 2.8 times what the fastest damping takes settles on motions that no damping allows.
             halvings = max(0, math.ceil(np.log2(max(model.fastest(s[6:12]) * step, 1e-9))))
-            for number, (offset, h, shift, half, whole) in enumerate(steps(halvings)):
+            for number, (offset, h, shift, half, whole) in enumerate(steps_of(step / 2**halvings)):
                 t = t0 + k * dt + offset
                 target = drive[np.maximum(lead + k + shift, 0), each]
                 f0 = fm = f1 = target

@@ -23,13 +23,13 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     if dense:
         added, linear, quadratic = np.zeros((3, 6, 6))
         matrices = {
-            AddedMass.name: added,
-            LinearDamping.name: linear,
-            QuadraticDamping.name: quadratic,
-            CoupledDamping.name: linear,
+            AddedMass: added,
+            LinearDamping: linear,
+            QuadraticDamping: quadratic,
+            CoupledDamping: linear,
         }
         for c, z in zip(bench.base, model.z, strict=False):
-            matrices[c.label.partition(":")[0]][c.place] = z
+            matrices[c.effect][c.place] = z
         vehicle = dataclasses.replace(
             vehicle,
             added_mass=vehicle.added_mass + added,
@@ -83,9 +83,9 @@ def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     """Covariance of z; where more is left than sensor noise, with what the coefficients of the file that are
     held may be off by."""
     known, precision, _ = bench.known(now.model)
+    priors, bends = np.array([c.prior for c in bench.base]), ~bench.held(now.model)
     off = np.zeros(len(precision))
-    for j in np.flatnonzero(~bench.held(now.model)):
-        off[j] = wrong_by(bench, now.model) / FILE_ERROR * bench.base[j].prior
+    off[: len(priors)] = wrong_by(bench, now.model) / FILE_ERROR * priors * bends
     h = known.T @ now.stats.h.sum(0) @ known
     covariance = spread(now.stats.g @ known, h, precision, off, now.white)
     return covariance if now.white else covariance + _considered(bench, now, dense)

@@ -9,6 +9,10 @@ from ._model import Model, Workbench
 from ._score import Reduced
 from ._search import dispersion
 
+# What is left is sensor noise alone where its chi-square is at most this many standard deviations, and this
+# share for rounding, above its expectation, and where scores scatter at most this many times as noise does.
+DEVIATIONS, ROUNDING, SCATTER = 5.0, 0.01, 1.6
+
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
@@ -29,6 +33,6 @@ def judged(bench: Workbench, model: Model) -> Judged:
     """The model with what its residual says, by one linearisation."""
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
-    size = 1.0 + 5.0 * np.sqrt(2.0 / bench.freedom) + 0.01
-    white = bool(stats.chi2.sum() / bench.freedom < size and phi < 1.6)
+    size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
+    white = bool(stats.chi2.sum() / bench.freedom < size and phi < SCATTER)
     return Judged(model, stats, phi, knots(bench, model), white)

@@ -55,10 +55,10 @@ KNOT = 0.5
 # How far coefficients of a vehicle file are commonly wrong, relative to their value.
 FILE_ERROR = 0.1
 # The file's coefficients by the effects that change them.
-_KINDS = {
-    AddedMass.name: "added_mass",
-    LinearDamping.name: "damping.linear",
-    QuadraticDamping.name: "damping.quadratic",
+_KINDS: dict[type[AbstractEffect], str] = {
+    AddedMass: "added_mass",
+    LinearDamping: "damping.linear",
+    QuadraticDamping: "damping.quadratic",
 }
 
 
@@ -405,8 +405,8 @@ class Workbench:
         speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
         braking = np.zeros(6)
         for c, z in zip(self.base, model.z, strict=False):
-            if c.diagonal and not c.label.startswith(AddedMass.name):
-                axis, by_speed = c.place[0], c.label.startswith(QuadraticDamping.name)
+            if c.diagonal and c.effect is not AddedMass:
+                axis, by_speed = c.place[0], c.effect is QuadraticDamping
                 braking[axis] += (c.value + z) * (speed[axis] if by_speed else 1.0)
         return bool((braking >= 0).all())
 
@@ -476,8 +476,7 @@ class Workbench:
         z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
         refined = refine_windows(task, jnp.asarray(z), model.delta, 1)
-        own = [(c.label.partition(":")[0], DOFS[c.place[0]]) for c in self.base if c.diagonal]
-        names = [coefficient_name(_KINDS[kind], dof) for kind, dof in own]
+        names = [coefficient_name(_KINDS[c.effect], DOFS[c.place[0]]) for c in self.base if c.diagonal]
         return evaluated(self.vehicle, self.data.logs, task, refined, names, self.data.length)
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -546,11 +545,12 @@ def _bodies(plant_of: Callable[..., Plant], theta: Float[Array, "segments slots"
 class Coefficient:
     """A coefficient that the file has: where it lies, its value there, and the width of its prior.
 
-    - `suspect`: the one that alters it.
+    - `suspect`: the one that alters it, by its `effect`.
     - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
     """
 
     suspect: int
+    effect: type[AbstractEffect]
     label: str
     place: tuple[int, int]
     index: int
@@ -589,6 +589,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
         out.append(
             Coefficient(
                 i,
+                suspect.effect,
                 suspect.label,
                 matrix_place(suspect),
                 int(np.flatnonzero(layout.columns[i][:, 0])[0]),

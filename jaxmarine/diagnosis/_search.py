@@ -39,6 +39,9 @@ CLOSE = 6.0
 SAME = 1.25
 # Chi-square that some suspect must save before the costly starts are tried.
 PROBED = 20.0
+# Share of the best saving that a costly start must promise, and by which a beginning must beat acting always;
+# and the chi-square that it must beat it by at least.
+WORTHWHILE, BEGINS = 0.2, 40.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,7 +149,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
         w = int(np.argmax(row[1:])) + 1 if len(row) > 1 else 0
         if w and bench.may_begin(model, i) and np.isfinite(row[w]):
             begun[i] = Member(i, Beginning(int(bench.window_log[w]), float(bench.data.starts[w])))
-            if row[w] > row[0] + max(40.0, 0.2 * row[0]):
+            if row[w] > row[0] + max(BEGINS, WORTHWHILE * row[0]):
                 out.append((begun[i], float(row[w])))
     return [member for member, _ in sorted(out, key=lambda item: -item[1])], begun
 
@@ -162,13 +165,13 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
         names = list(suspect.slots)
         if suspect.effect is Waves:
             promised, start = wave_start(knots(bench, model))
-            if promised > 0.2 * best:
+            if promised > WORTHWHILE * best:
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
         probed = [bench.refine(bench.with_member(model, Member(i), value), 1) for value in values]
         promised = [one.promised for one in probed]
-        if 2 * (model.cost - min(promised)) > 0.2 * best:
+        if 2 * (model.cost - min(promised)) > WORTHWHILE * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
     return out
 
@@ -225,7 +228,7 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
     """
     own = bench.layout.columns[member.suspect].shape[1]
     tried = len(bench.layout.suspects) * (bench.count if member.since else 1)
-    return phi * max(2 * own + 2 * np.log(tried) + 2 * MARGIN, penalty(bench, member) + 6.0)
+    return phi * max(2 * own + 2 * np.log(tried) + 2 * MARGIN, penalty(bench, member) + CLOSE)
 
 
 def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:

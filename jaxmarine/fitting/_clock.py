@@ -105,15 +105,17 @@ def _size(columns: np.ndarray) -> np.ndarray:
 
 def _integrals(t: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Of what changes from sample to sample along lines, between the edges."""
-    steps = np.diff(t)[:, None] * (values[1:] + values[:-1]) / 2
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
-    return np.diff(np.stack([np.interp(edges, t, one) for one in total.T], axis=1), axis=0)
+    return _between(t, np.diff(t)[:, None] * (values[1:] + values[:-1]) / 2, edges)
 
 
 def _impulses(t: np.ndarray, held: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Integrals of what holds from sample to sample, which grow along lines in between."""
-    steps = np.diff(t)[:, None] * held[:-1]
-    total = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(steps, axis=0)])
+    return _between(t, np.diff(t)[:, None] * held[:-1], edges)
+
+
+def _between(t: np.ndarray, steps: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """What steps from sample to sample add up to between the edges."""
+    total = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
     return np.diff(np.stack([np.interp(edges, t, one) for one in total.T], axis=1), axis=0)
 
 

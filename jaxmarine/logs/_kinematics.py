@@ -20,7 +20,7 @@ from ._states import body_rates
 # smoother passes goes with the sixth root of the strength, so a step widens it by an eighth.
 _STRENGTHS = 10.0 ** np.arange(-10.0, 1.1, 1 / 3)
 # The covariance of value, slope and curvature after one unit of time, for a strength of one.
-SPREAD = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+_SPREAD = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
 # Variance before the first sample, in units of noise² and dt: nothing is known then.
 _UNKNOWN = 1e8
 
@@ -103,11 +103,11 @@ def smooth(
     return states / unit ** np.arange(3)[:, None, None]
 
 
-def _step(length: float) -> tuple[np.ndarray, np.ndarray]:
+def step(length: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition of value, slope and curvature over a step, and the covariance that it adds."""
     scale = length ** np.array([2.0, 1.0, 0.0])
     forward = np.array([[1.0, length, length**2 / 2], [0.0, 1.0, length], [0.0, 0.0, 1.0]])
-    return forward, length * scale[:, None] * SPREAD * scale
+    return forward, length * scale[:, None] * _SPREAD * scale
 
 
 def _forward(steps: np.ndarray, samples: np.ndarray, strengths: np.ndarray):
@@ -118,7 +118,7 @@ def _forward(steps: np.ndarray, samples: np.ndarray, strengths: np.ndarray):
     likelihood, filtered = np.zeros(shape), []
     for k, now in enumerate(samples):
         if k:
-            forward, added = _step(steps[k - 1])
+            forward, added = step(steps[k - 1])
             mean = mean @ forward.T
             covariance = forward @ covariance @ forward.T + strengths[..., None, None] * added
         seen = np.isfinite(now)
@@ -137,7 +137,7 @@ def _backward(steps: np.ndarray, filtered: list) -> np.ndarray:
     """Means of the states given all samples [times, channels, strengths, 3]."""
     smoothed = [filtered[-1][0]]
     for length, (mean, covariance, strengths) in zip(steps[::-1], filtered[-2::-1], strict=True):
-        forward, added = _step(length)
+        forward, added = step(length)
         ahead = forward @ covariance @ forward.T + strengths[..., None, None] * added
         missed = (smoothed[-1] - mean @ forward.T)[..., None]
         smoothed.append(mean + (covariance @ forward.T @ np.linalg.solve(ahead, missed))[..., 0])

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from .._types import DOFS
 from ._euler import turns_of
-from ._kinematics import SPREAD, by_attitude
+from ._kinematics import by_attitude, step
 from ._log import Log
 from ._noise import sensor_noise
 from ._states import body_rates, reachable, smooth_states
@@ -159,9 +159,8 @@ def _smoothed(
 
 def _step(length: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition of values, slopes and curvatures over a step, and the covariance that it adds."""
-    scale = length ** np.array([2.0, 1.0, 0.0])
-    forward = np.array([[1.0, length, length**2 / 2], [0.0, 1.0, length], [0.0, 0.0, 1.0]])
-    return np.kron(forward, np.eye(3)), np.kron(length * scale[:, None] * SPREAD * scale, np.eye(3))
+    forward, added = step(length)
+    return np.kron(forward, np.eye(3)), np.kron(added, np.eye(3))
 
 
 def _forward(steps, samples, std, rows, begin, strengths):
