@@ -1,8 +1,10 @@
-"""Compiled programs, without a rewriting that slows them down.
+"""Compiled programs, by what suits ours best on a processor.
 
-On CPU, XLA hands groups of operations around a product to a library. Our products are many and small,
-and a linearisation then takes half as long again (measured: 0.82 s against 0.55 s for nine of a log of
-300 s, jaxlib 0.10.0 on x86); single products are left to the library.
+XLA hands groups of operations around a product to a library. Our products are many and small, and a
+linearisation then takes half as long again (measured: 0.82 s against 0.55 s for nine of a log of 300 s,
+jaxlib 0.10.0 on x86); single products are left to the library. And the newer of its two ways to write groups
+of operations takes longer to compile (39 s against 26 s for all programs of a diagnosis), for programs that
+run as fast.
 """
 
 import functools
@@ -13,13 +15,16 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
-_OPTIONS = {"xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT"}
+_OPTIONS = {
+    "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT",
+    "xla_cpu_use_fusion_emitters": False,
+}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @functools.cache
-def _options() -> dict[str, str] | None:
+def _options() -> dict[str, str | bool] | None:
     """The options, None where this compiler does not know them."""
     try:
         jax.jit(lambda x: x, compiler_options=_OPTIONS)(0.0)

@@ -1,6 +1,5 @@
 """What all tests share: double precision, strict shapes and fixed seeds."""
 
-import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,20 +16,6 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Derandomised, so that a run is repeatable; without deadline, because the first example compiles.
 hypothesis.settings.register_profile("jaxmarine", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("jaxmarine")
-
-
-def _take_own_cores() -> None:
-    """Processes side by side share the cores out, as their programs' threads get into each other's way.
-
-    A diagnosis beside another one takes an eighth less of the processor then.
-    """
-    name, count = os.environ.get("PYTEST_XDIST_WORKER"), os.environ.get("PYTEST_XDIST_WORKER_COUNT")
-    if name and count and hasattr(os, "sched_setaffinity"):
-        own = sorted(os.sched_getaffinity(0))[int(name.removeprefix("gw")) :: int(count)]
-        os.sched_setaffinity(0, own or os.sched_getaffinity(0))
-
-
-_take_own_cores()
 
 ROOT = Path(__file__).resolve().parent.parent
 

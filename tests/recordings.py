@@ -140,7 +140,7 @@ def odometry(version: int) -> Topics:
     topics["/depth"] = (
         "geometry_msgs/msg/PointStamped",
         [
-            (t, make("geometry_msgs/msg/PointStamped", header=header(t), point=vector("Point", [0, 0, -z])))
+            (t, make("geometry_msgs/msg/PointStamped", header=header(t), point=vector("Point", [0, 0, z])))
             for t, z in zip(depth, position(depth)[:, 2], strict=True)
         ],
     )
@@ -150,7 +150,7 @@ def odometry(version: int) -> Topics:
         "sensor_msgs/msg/JointState",
         [
             (t, make("sensor_msgs/msg/JointState", header=header(t), name=ordered, effort=row[::-1].copy()))
-            for t, row in zip(pushed, commands(pushed + 1e-6), strict=True)
+            for t, row in zip(pushed, 40.0 * commands(pushed + 1e-6), strict=True)  # [N]
         ],
     )
     return topics

@@ -99,6 +99,10 @@ BAD_PATHS = {
     "a component twice": ({"velocity": "/motion.vector"}, "gives `u` twice"),
     "world velocity without heading": ({"frame": {"velocity": "world"}}, "no `psi` is mapped"),
     "half a place": ({"latitude": "/motion.vector.x"}, "lacks `longitude`"),
+    "a place in radians": (
+        {"latitude": {"from": "/motion.vector.x", "unit": "rad"}, "longitude": "/motion.vector.x"},
+        "gives `latitude` in rad; it is in degrees",
+    ),
     "integers for degrees": (
         {"latitude": {"from": "/motion.vector.x", "scale": 1e7}, "longitude": "/motion.vector.x"},
         "exceeds what degrees can be; scale them, as by 1e-7",

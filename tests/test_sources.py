@@ -351,7 +351,8 @@ def test_latitudes_are_metres_north_of_the_first_fix():
     exact = np.array([north, east]) @ (centre - centre[:, :1])
     wrapped = np.where(lon > 180, lon - 360, lon)
     frame = {"lat": lat, "lon": wrapped, "h": 10 - t, "psi": 0 * t, "t": t, "left": 0 * t, "right": 0 * t}
-    names = {"latitude": "lat", "longitude": "lon", "altitude": "h"}
+    # Degrees are what these columns are given in, so that the unit may be named or not.
+    names = {"latitude": {"from": "lat", "unit": "deg"}, "longitude": "lon", "altitude": "h"}
     log = read_log(pd.DataFrame(frame), BOAT, ColumnMap.model_validate({"columns": names}))
     # 390 m away a meridian has turned by 4e-5 rad
     assert np.max(np.abs(log.channels[:, :2].T - exact)) < 0.02

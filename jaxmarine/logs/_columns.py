@@ -119,7 +119,7 @@ class ColumnMap(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     columns: dict[str, _Source] = Field(
-        description="a table [columns] with, per contract name, the file's own name or "
+        description="a table [columns] with, per column of the log, the file's own name or "
         '{from = "...", scale = ..., offset = ...}'
     )
     frame: Frame = Field(default=Frame(), description="a table [frame]")
@@ -138,6 +138,13 @@ class ColumnMap(pydantic.BaseModel):
                     f"{path}: the column map gives `{name}`, which is no column of a log; "
                     f"{did_you_mean(name, known)}"
                 )
+            if name in GEODETIC[:2] and source.unit is not None:
+                if source.unit != "deg":
+                    raise InputError(
+                        f"{path}: the column map gives `{name}` in {source.unit}; it is in degrees, so leave "
+                        "the unit out, and give a scale where the file has another one."
+                    )
+                source = source.model_copy(update={"unit": None})
             # a thruster may be called `rate`, and is then meant
             parts = {} if name in thrusters else _GROUPS.get(name, {})
             given = {

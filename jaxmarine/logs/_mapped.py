@@ -29,7 +29,7 @@ _LATE, _REGULAR = 1.0, 0.3
 
 
 class MappedFile:
-    """The columns of a file as the contract names them, and what there is to say of them.
+    """The columns of a file by the names of the log's columns, and what there is to say of them.
 
     - `path`: how sentences begin; `name`: the log's name.
     - `table`: the columns, and `sources`: which of them serve under which name of the contract.
@@ -153,7 +153,7 @@ def open_mapped(
 def _of_table(
     path: object, table: Table, vehicle: Craft, columns: ColumnMap | None
 ) -> dict[str, ColumnSource]:
-    """Which of a table's columns serve: those of the map, and those that bear a contract name."""
+    """Which of a table's columns serve: those of the map, and those that bear the name of a log's column."""
     mapped = {} if columns is None else columns.sources(path, vehicle.command_names)
     clocks = {f"{name}.clock": one.clock for name, one in mapped.items() if one.clock}
     for name, one in (mapped | clocks).items():
