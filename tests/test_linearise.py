@@ -12,7 +12,7 @@ import pytest
 
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
-from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
+from jaxmarine.fitting import Affine, Problem, cut, linearise, measured_channels, predict, start_precision
 from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Placed, Plant, State, Vehicle
@@ -88,7 +88,7 @@ def case(name: str, segments: int, logs: int) -> Case:
         data.records,
         data.windows,
         jnp.asarray(start_precision(vehicle.free)),
-        True,
+        measured_channels(data.windows),
     )
     # Each parameter acts in some segments and not in others.
     acts = (rng.random((segments, len(neutral))) < 0.7) | (np.arange(segments)[:, None] == 0)

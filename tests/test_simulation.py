@@ -21,7 +21,16 @@ from jaxmarine.effects import (
     VelocityScale,
     Waves,
 )
-from jaxmarine.fitting import Affine, Problem, Task, cut, predict, refine_windows, start_precision
+from jaxmarine.fitting import (
+    Affine,
+    Problem,
+    Task,
+    cut,
+    measured_channels,
+    predict,
+    refine_windows,
+    start_precision,
+)
 from jaxmarine.logs import read_log, sensor_noise
 from jaxmarine.physics import rotation
 from jaxmarine.simulation import gates, hold, initial_state, inputs, simulate, substeps
@@ -414,7 +423,7 @@ def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
         data.records,
         data.windows,
         jnp.asarray(start_precision(vehicle.free)),
-        True,
+        measured_channels(data.windows),
     )
     nothing = Affine(jnp.zeros((1, 1)), jnp.zeros((1, 1)), jnp.ones((1, 1)))
     task = Task(problem, nothing, jnp.ones(1))
@@ -432,5 +441,5 @@ def test_predictions_of_a_true_vehicle_leave_only_noise(shared, part):
 
 def residuals_of(vehicle, windows, records, delta):
     """Weighted differences by the simulation itself, window by window."""
-    problem = Problem(lambda theta, segment: vehicle.plant(), records, windows, jnp.ones(12), True)
+    problem = Problem(lambda theta, segment: vehicle.plant(), records, windows, jnp.ones(12), ())
     return np.asarray(eqx.filter_jit(predict)(problem, jnp.zeros((1, 1)), delta)[1])

@@ -189,7 +189,12 @@ def test_windows_differentiate_through_the_sliding_mass():
 
     split = jnp.asarray(substeps(vehicle, 0.1))
     problem = Problem(
-        plant_of, data.records, data.windows, jnp.asarray(start_precision(vehicle.free)), False, split
+        plant_of,
+        data.records,
+        data.windows,
+        jnp.asarray(start_precision(vehicle.free)),
+        tuple(range(12)),
+        split,
     )
     affine = Affine(jnp.zeros((1, 6)), jnp.eye(6), jnp.ones((1, 6)))
     nothing = jnp.zeros((data.windows.count, 12))

@@ -16,6 +16,7 @@ from ..fitting import (
     Task,
     Windows,
     cut,
+    measured_channels,
     predict,
     refine_windows,
     start_precision,
@@ -96,8 +97,7 @@ def predictions(
     own = Room.of(data.records, data.windows)
     room = room if room.holds(own) else own
     records, windows = room.filled(data.records, data.windows)
-    weight = np.asarray(data.windows.weight)
-    accelerations = bool((weight[..., 12:] > 0).any())
+    channels = measured_channels(data.windows)
     begin = round(run_in / length * windows.step.shape[1])
     names = ("step", "measured", "weight")
     seen = dataclasses.replace(windows, **{name: getattr(windows, name)[:, :begin] for name in names})
@@ -108,12 +108,12 @@ def predictions(
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
         task = Task(
-            Problem(plant, records, seen, precision, accelerations, jnp.asarray(split)),
+            Problem(plant, records, seen, precision, channels, jnp.asarray(split)),
             Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
             jnp.ones(slots),
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
-        problem = Problem(plant, records, windows, precision, accelerations, jnp.asarray(split))
+        problem = Problem(plant, records, windows, precision, channels, jnp.asarray(split))
         return np.asarray(predict(problem, theta, started.delta)[0])[: data.windows.count]
 
     turns = 2 * np.pi * np.arange(PHASES) / PHASES
@@ -124,7 +124,7 @@ def predictions(
         for one in candidates
     ]
     times = log.t[np.asarray(data.windows.step)]
-    measured = np.where(weight > 0, np.asarray(data.windows.measured), np.nan)
+    measured = np.where(np.asarray(data.windows.weight) > 0, np.asarray(data.windows.measured), np.nan)
     return times, out, measured, begin
 
 

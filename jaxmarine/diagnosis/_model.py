@@ -26,6 +26,7 @@ from ..fitting import (
     coefficient_name,
     evaluated,
     linearise,
+    measured_channels,
     predict,
     refine_windows,
     segments,
@@ -153,7 +154,7 @@ class Workbench:
             records,
             windows,
             jnp.asarray(start_precision(vehicle.free)),
-            bool((np.asarray(windows.weight)[..., 12:] > 0).any()),
+            measured_channels(windows),
             jnp.asarray(split),
         )
 

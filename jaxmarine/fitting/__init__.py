@@ -55,6 +55,9 @@ from ._rollout import (
     Problem as Problem,
 )
 from ._rollout import (
+    measured_channels as measured_channels,
+)
+from ._rollout import (
     predict as predict,
 )
 from ._rollout import (

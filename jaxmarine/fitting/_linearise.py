@@ -193,6 +193,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
     lagged, d_lagged = fluid_memory(problem, plants)
     tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
     log, step = problem.windows.log[:, None], problem.windows.step
+    rows = np.array(problem.channels, int)
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
         drive = eqx.tree_at(lambda d: d.thrust, drive, pushed)
@@ -241,7 +242,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
 
     def sensed(x, segment, nu_dot, nu_x, nu_z):
-        """Readings at every sample of a window and their derivatives with respect to x and z."""
+        """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
 
         def one(x, nu_dot, segment):
             sensors = of_segment(chain, segment).sensors
@@ -249,6 +250,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
             return shown(x, nu_dot, sensors, segment), slopes
 
         value, (by_x, by_nu_dot, by_sensors) = jax.vmap(one)(x, nu_dot, segment)
+        by_x, by_nu_dot, by_sensors = by_x[:, rows], by_nu_dot[:, rows], by_sensors[:, rows]
         by_z = by_nu_dot @ nu_z
         by_z = by_z.at[:, :, :given].add(_contract(by_sensors, chain_slopes.sensors, segment))
         return value, by_x + by_nu_dot @ nu_x, by_z
@@ -300,10 +302,10 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
         s_0 = jnp.concatenate([jax.jacfwd(start)(delta), jnp.zeros((13, count))], axis=1)
         _, s = jax.lax.scan(recur, s_0, (a, b))
-        weight = windows.weight
+        weight = windows.weight[:, rows]
         jacobian = (h_x * weight[..., None]) @ s
         jacobian = jacobian.at[:, :, 12:].add(h_z * weight[..., None]).reshape(-1, 12 + count)
-        residual = (wrapped(value - windows.measured) * weight).reshape(-1)
+        residual = (wrapped(value - windows.measured)[:, rows] * weight).reshape(-1)
         h = jacobian.T @ jacobian
         g = jacobian.T @ residual
         return Statistics(

@@ -116,7 +116,7 @@ def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.nd
         data.records,
         data.windows,
         jnp.asarray(start_precision(vehicle.free)),
-        False,
+        (),
     )
     return OneStep(
         problem,

@@ -35,7 +35,7 @@ class Problem(eqx.Module):
 
     - `plant_of(theta, segment)`: the plant of a segment from its parameter vector.
     - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
-    - `accelerations`: whether any are measured.
+    - `channels`: those that are measured in any window (`measured_channels`); the others have no rows.
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
     """
 
@@ -43,8 +43,18 @@ class Problem(eqx.Module):
     records: Records
     windows: Windows
     start_precision: Float[Array, "12"]
-    accelerations: bool = eqx.field(static=True)
+    channels: tuple[int, ...] = eqx.field(static=True)
     split: int | Int[Array, ""] = 1
+
+    @property
+    def accelerations(self) -> bool:
+        """Whether any are measured."""
+        return max(self.channels, default=0) >= 12
+
+
+def measured_channels(windows: Windows) -> tuple[int, ...]:
+    """The channels that are measured in any of the windows."""
+    return tuple(np.flatnonzero((np.asarray(windows.weight) > 0).any(axis=(0, 1))).tolist())
 
 
 def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:

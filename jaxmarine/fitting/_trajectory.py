@@ -15,7 +15,7 @@ from ..vehicle import Vehicle
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
 from ._linearise import Affine
-from ._rollout import Problem, start_precision
+from ._rollout import Problem, measured_channels, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._windows import Cut, cut
 
@@ -98,7 +98,7 @@ def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: 
         data.records,
         data.windows,
         jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free)),
-        bool((np.asarray(data.windows.weight)[..., 12:] > 0).any()),
+        measured_channels(data.windows),
         jnp.asarray(split),
     )
     return Task(
