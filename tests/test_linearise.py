@@ -13,6 +13,7 @@ import pytest
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
 from jaxmarine.fitting import Affine, Problem, cut, linearise, measured_channels, predict, start_precision
+from jaxmarine.fitting._linearise import FEW, Columns
 from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Placed, Plant, State, Vehicle
@@ -234,3 +235,16 @@ def test_predictions_are_those_of_a_simulation():
     angles = np.isin(CHANNELS, ("phi", "theta", "psi"))
     assert np.allclose(residual[..., ~angles], plain[..., ~angles], rtol=1e-12, atol=1e-12)
     assert np.abs(residual[..., angles] / windows.weight[..., angles]).max() <= np.pi
+
+
+@pytest.mark.parametrize("several", [0, 1, FEW, FEW + 2])
+def test_columns_are_picked_as_a_product_would_have_them(several):
+    rng = np.random.default_rng(several)
+    whole = np.zeros((7, 12))
+    whole[rng.integers(0, 7, 12), np.arange(12)] = rng.normal(size=12)
+    whole[:, 3] = 0.0
+    many = rng.permutation(12)[:several]
+    whole[:, many] = rng.normal(size=(7, several))
+    by = rng.normal(size=(5, 6, 7))
+    product = jax.jit(lambda by, whole: Columns.of(whole)(by))(by, whole)
+    np.testing.assert_allclose(product, by @ whole, atol=1e-14)

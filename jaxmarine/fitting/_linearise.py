@@ -21,7 +21,7 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..physics import Drive, apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
@@ -38,6 +38,8 @@ from ._rollout import (
 
 # Windows that are linearised together.
 BATCH = 10
+# Columns with several entries that are multiplied one by one; with more of them all are.
+FEW = 4
 
 
 class Affine(eqx.Module):
@@ -56,6 +58,38 @@ class Affine(eqx.Module):
     def at(self, z: Float[Array, " z"]) -> "Affine":
         """The same map seen from z."""
         return Affine(self(z), self.columns, self.acts)
+
+
+class Columns(eqx.Module):
+    """A matrix to multiply by, of which most columns have a single entry: to pick those is less work.
+
+    - `first`, `entry`: of each column where its single entry is, and the entry; 0 where it has several.
+    - `others`, `narrow`: which columns have several, and these; `many`: more than `FEW` have.
+    """
+
+    whole: Float[Array, "parameters z"]
+    first: Int[Array, " z"]
+    entry: Float[Array, " z"]
+    others: Int[Array, " few"]
+    narrow: Float[Array, "parameters few"]
+    many: Bool[Array, ""]
+
+    @classmethod
+    def of(cls, whole: Float[Array, "parameters z"]) -> "Columns":
+        several = (whole != 0).sum(0) > 1
+        first = jnp.argmax(whole != 0, axis=0)
+        entry = jnp.where(several, 0.0, whole[first, jnp.arange(whole.shape[1])])
+        others = jnp.argsort(~several)[:FEW]
+        narrow = jnp.where(several[others], whole[:, others], 0.0)
+        return cls(whole, first, entry, others, narrow, several.sum() > FEW)
+
+    def __call__(self, by: Float[Array, "points 6 parameters"]) -> Float[Array, "points 6 z"]:
+        """`by @ whole`."""
+
+        def picked():
+            return (by[..., self.first] * self.entry[None, None]).at[..., self.others].add(by @ self.narrow)
+
+        return jax.lax.cond(self.many, lambda: by @ self.whole, picked)
 
 
 class Statistics(eqx.Module):
@@ -106,6 +140,8 @@ def _contract(by_constants, slopes, segment):
 def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     """Derivatives of mean and instant thrust with respect to z: [logs, steps, thrusters, z].
 
+    And whether any is not zero.
+
     A thruster's thrust depends on its own constants only, so one tangent per constant and segment
     serves all thrusters; `slopes` are the constants' derivatives [segments, thrusters, z].
     """
@@ -132,7 +168,7 @@ def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
     # Most causes are none of a thruster, and this is a third of a linearisation.
     touched = jnp.stack([(leaf != 0).any() for leaf in jax.tree.leaves(slopes)]).any()
     segments = jnp.where(touched, problem.records.segment.max() + 1, 0)
-    return jax.lax.fori_loop(0, segments, one, (nothing, nothing))
+    return *jax.lax.fori_loop(0, segments, one, (nothing, nothing)), touched
 
 
 def _exponential(f: Array, split) -> tuple[Array, Array]:
@@ -189,7 +225,8 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
-    d_mean, d_at = _drive_sensitivities(problem, plants.drive, drive_slopes)
+    d_mean, d_at, touched = _drive_sensitivities(problem, plants.drive, drive_slopes)
+    columns = Columns.of(affine.columns)
     lagged, d_lagged = fluid_memory(problem, plants)
     tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
     log, step = problem.windows.log[:, None], problem.windows.step
@@ -209,10 +246,20 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         )
         return nu_dot, slopes, plant.mobility(drive)
 
-    def tangents(x, drive, lagged, segment, d_thrust, d_lagged):
+    def by_thrusters(by_thrust, windows):
+        """What the balance has of z by the thrusters, at every step of a window, or twice at every step."""
+        sensitivities = (d_mean, d_at)[: len(by_thrust) // steps]
+
+        def pushed():
+            return by_thrust @ jnp.concatenate([d[windows.log, windows.step] for d in sensitivities])
+
+        # Most causes are none of a thruster; the predicate is the same for all windows of a batch.
+        return jax.lax.cond(touched, pushed, lambda: jnp.zeros((*by_thrust.shape[:2], given)))
+
+    def tangents(windows, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
         nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
-        by_z = by_theta @ affine.columns * acts[segment][:, None, :] + by_thrust @ d_thrust
+        by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows)
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
         nu_z = -inverse @ by_z
@@ -256,7 +303,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         return value, by_x + by_nu_dot @ nu_x, by_z
 
     def one(now):
-        windows, track, delta, d_mean, d_at, d_slow = now
+        windows, track, delta, d_slow = now
 
         def start(delta):
             return _flat(start_of(windows, delta, track.lagged[0]))
@@ -284,14 +331,15 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
             slide=track.over.slide,
         )
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
-        at_middle = (middle, over, between, track.segment, d_mean, d_lagged)
+        at_middle = (middle, over, between, track.segment, d_lagged)
         if problem.accelerations:
             # Both sets of points in one call: the derivatives of the balance are compiled once.
-            at_sample = (x, track.instant, track.lagged, track.segment, d_at, d_lagged)
-            both = tangents(*jax.tree.map(lambda *parts: jnp.concatenate(parts), at_middle, at_sample))
+            at_sample = (x, track.instant, track.lagged, track.segment, d_lagged)
+            points = jax.tree.map(lambda *parts: jnp.concatenate(parts), at_middle, at_sample)
+            both = tangents(windows, *points)
             (_, nu_x, nu_z), seen = [part[:steps] for part in both], [part[steps:] for part in both]
         else:
-            _, nu_x, nu_z = tangents(*at_middle)
+            _, nu_x, nu_z = tangents(windows, *at_middle)
             seen = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, count))
         a, b = propagators(middle, track.dt, nu_x, nu_z)
         value, h_x, h_z = sensed(x, track.segment, *seen)
@@ -319,7 +367,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
     # In batches: the derivatives of some hundred steps stay in the processor's cache, and the memory
     # does not grow with the length of the logs. Filled up, so that no shorter batch is compiled as well.
-    everything = (problem.windows, tracks, delta, d_mean[log, step], d_at[log, step], d_lagged[log, step])
+    everything = (problem.windows, tracks, delta, d_lagged[log, step])
     windows = len(delta)
     fill = -windows % BATCH
     filled = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], fill, axis=0)]), everything)
