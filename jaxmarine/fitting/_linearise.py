@@ -303,13 +303,11 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
         return value, by_x + by_nu_dot @ nu_x, by_z
 
     def one(now):
-        windows, track, delta, d_slow = now
+        windows, track, delta, states, after, d_slow = now
 
         def start(delta):
             return _flat(start_of(windows, delta, track.lagged[0]))
 
-        first = start_of(windows, delta, track.lagged[0])
-        states, after = roll_out(problem, plants, track, first, follow=True)
         x, x_after = jax.vmap(_flat)(states), jax.vmap(_flat)(after)
         # Middle of the step from its ends and its first slope (third order in dt); the slope of a stiff
         # vehicle says nothing of the middle.
@@ -365,9 +363,17 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
             h_zz=h[12:, 12:],
         )
 
+    def followed(windows, track, delta):
+        first = start_of(windows, delta, track.lagged[0])
+        return roll_out(problem, plants, track, first, follow=True)
+
+    # All windows at once: of a stiff vehicle this is one short step after another, in which few windows take
+    # as long as many.
+    states, after = jax.vmap(followed)(problem.windows, tracks, delta)
+
     # In batches: the derivatives of some hundred steps stay in the processor's cache, and the memory
     # does not grow with the length of the logs. Filled up, so that no shorter batch is compiled as well.
-    everything = (problem.windows, tracks, delta, d_lagged[log, step])
+    everything = (problem.windows, tracks, delta, states, after, d_lagged[log, step])
     windows = len(delta)
     fill = -windows % BATCH
     filled = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], fill, axis=0)]), everything)
