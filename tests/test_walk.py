@@ -24,8 +24,9 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
 
 
-def run(text: str) -> dict:
-    names: dict = {"__name__": "walk"}
+def run(text: str, after: dict | None = None) -> dict:
+    """The names that a block of code leaves, `after` those of the one before it."""
+    names = after or {"__name__": "walk"}
     exec(compile(text, "README.md", "exec"), names)
     return names
 
@@ -56,7 +57,7 @@ def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys):
     assert float(placed.effect.parameters()["factor"][1]) == factor.value
     assert {"index.html", "diagnosis.json", "figures"} <= set(os.listdir(folder / "report"))
 
-    exec(compile(after, "README.md", "exec"), names)
+    run(after, names)
     vehicle, state, wrench = (names[name] for name in ("vehicle", "state", "wrench"))
     assert float(names["track"]["u"][0]) == 0.2
     drive = Input(np.zeros(4), np.zeros(4), wrench, np.asarray(0.0))
@@ -146,12 +147,12 @@ def test_the_table_of_the_vehicle_file_has_every_key_and_default():
 def test_pictures_and_examples_of_files_are_good():
     for link in re.findall(r"\]\(([^)]+)\)", README):
         path, _, anchor = link.partition("#")
-        assert (ROOT / (path or "README.md")).exists(), link
-        text = (ROOT / (path or "README.md")).read_text() if anchor else ""
-        titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-        assert anchor in {"", *(re.sub(r"[^a-z0-9 -]", "", t.lower()).replace(" ", "-") for t in titles)}, (
-            link
-        )
+        page = ROOT / (path or "README.md")
+        assert page.exists(), link
+        if anchor:
+            titles = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+            anchors = [re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles]
+            assert anchor in anchors, link
     for text in blocks("toml"):
         tomllib.loads(text)
     pictures = (ROOT / "docs").glob("*.png")

@@ -371,7 +371,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
     # as long as many.
     states, after = jax.vmap(followed)(problem.windows, tracks, delta)
 
-    # In batches: the derivatives of some hundred steps stay in the processor's cache, and the memory
+    # In batches: the derivatives of some hundred steps stay in the processor's cache, and their memory
     # does not grow with the length of the logs. Filled up, so that no shorter batch is compiled as well.
     everything = (problem.windows, tracks, delta, states, after, d_lagged[log, step])
     windows = len(delta)
