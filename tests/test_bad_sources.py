@@ -103,6 +103,22 @@ BAD_PATHS = {
         {"latitude": {"from": "/motion.vector.x", "unit": "rad"}, "longitude": "/motion.vector.x"},
         "gives `latitude` in rad; it is in degrees",
     ),
+    "a speed in degrees": (
+        {"u": {"from": "/motion.vector.x", "unit": "deg"}},
+        "gives `u` in deg; it is in m/s, so name one of m/s, cm/s, mm/s, kn, and give a scale",
+    ),
+    "a vector of another quantity": (
+        {"velocity": {"from": "/motion.vector", "unit": "deg/s"}},
+        "gives `velocity` in deg/s; it is in m/s",
+    ),
+    "a command with a unit": (
+        {"left": {"from": "/push.data[0]", "unit": "us"}},
+        "gives `left` in us; it has no unit, so leave the unit out, and give a scale",
+    ),
+    "times in metres": (
+        {"u": {"from": "/motion.vector.x", "clock": {"from": "/motion.vector.y", "unit": "m"}}},
+        "gives `u.clock` in m; it is in s",
+    ),
     "integers for degrees": (
         {"latitude": {"from": "/motion.vector.x", "scale": 1e7}, "longitude": "/motion.vector.x"},
         "exceeds what degrees can be; scale them, as by 1e-7",

@@ -10,23 +10,21 @@ from pydantic import Field
 
 from .._errors import InputError
 from .._files import did_you_mean, read_toml, validated
-from .._types import ATTITUDE, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
+from .._types import ATTITUDE, CHANNEL_UNITS, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
 
-# What one unit of a foreign file is in the contract's.
-_SI = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2", "m/s²", "rad/s²", "N", "N m")
-_UNITS = dict.fromkeys(_SI, 1.0) | {
-    "deg": np.pi / 180,
-    "deg/s": np.pi / 180,
-    "km": 1e3,
-    "cm": 1e-2,
-    "mm": 1e-3,
-    "cm/s": 1e-2,
-    "mm/s": 1e-3,
-    "kn": 1852 / 3600,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "ns": 1e-9,
+# Units of a foreign file by the contract's unit of the same quantity, and what one is of that.
+_QUANTITIES = {
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3},
+    "rad": {"rad": 1.0, "deg": np.pi / 180},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "kn": 1852 / 3600},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180},
+    "m/s²": {"m/s²": 1.0, "m/s^2": 1.0},
+    "rad/s²": {"rad/s²": 1.0, "rad/s^2": 1.0},
+    "N": {"N": 1.0},
+    "N m": {"N m": 1.0},
 }
+_UNITS = {unit: factor for units in _QUANTITIES.values() for unit, factor in units.items()}
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 GEODETIC = ("latitude", "longitude", "altitude")
@@ -36,6 +34,14 @@ _GROUPS = {
     "attitude": dict(zip(QUATERNION, "wxyz", strict=True)),
     "velocity": dict(zip(VELOCITY, "xyz", strict=True)),
     "rate": dict(zip(RATE, "xyz", strict=True)),
+}
+
+# The contract's unit of each column that has one; of what is not here, commands and quaternions are numbers.
+_UNIT_OF = {
+    "t": "s",
+    **CHANNEL_UNITS,
+    **dict(zip(WRENCH, ("N",) * 3 + ("N m",) * 3, strict=True)),
+    "altitude": "m",
 }
 
 # Two ways to give the same quantity, of which a map takes one.
@@ -138,19 +144,17 @@ class ColumnMap(pydantic.BaseModel):
                     f"{path}: the column map gives `{name}`, which is no column of a log; "
                     f"{did_you_mean(name, known)}"
                 )
-            if name in GEODETIC[:2] and source.unit is not None:
-                if source.unit != "deg":
-                    raise InputError(
-                        f"{path}: the column map gives `{name}` in {source.unit}; it is in degrees, so leave "
-                        "the unit out, and give a scale where the file has another one."
-                    )
-                source = source.model_copy(update={"unit": None})
+            if name in GEODETIC[:2] and source.unit == "deg":
+                source = source.model_copy(update={"unit": None})  # degrees are what a place is read in
             # a thruster may be called `rate`, and is then meant
             parts = {} if name in thrusters else _GROUPS.get(name, {})
             given = {
                 part: source.model_copy(update={"source": f"{source.source}.{end}"})
                 for part, end in parts.items()
             } or {name: source}
+            _check_unit(path, name, next(iter(given)), source.unit, thrusters)
+            if source.clock is not None:
+                _check_unit(path, f"{name}.clock", "t", source.clock.unit, ())
             twice = [part for part in given if part in found]
             if twice:
                 raise InputError(f"{path}: the column map gives `{twice[0]}` twice; keep one.")
@@ -173,6 +177,27 @@ class ColumnMap(pydantic.BaseModel):
     def keeps_axes(self) -> bool:
         """Whether every column is one of the contract's, in its axes."""
         return self.frame == Frame() and not {*_GROUPS, *QUATERNION, *GEODETIC} & {*self.columns}
+
+
+def _check_unit(path: object, name: str, part: str, unit: str | None, thrusters: Collection[str]) -> None:
+    """Raises `InputError` for a unit of another quantity than that of a column, or of one that has none.
+
+    - `name`: as the map has it; `part`: a column that it gives.
+    """
+    if unit is None:
+        return
+    own = None if part in thrusters else _UNIT_OF.get(part)
+    if own is None:
+        what = "is in degrees" if part in GEODETIC else "has no unit"
+        raise InputError(
+            f"{path}: the column map gives `{name}` in {unit}; it {what}, so leave the unit out, and give a "
+            "scale where the file has another one."
+        )
+    if unit not in _QUANTITIES[own]:
+        raise InputError(
+            f"{path}: the column map gives `{name}` in {unit}; it is in {own}, so name one of "
+            f"{', '.join(_QUANTITIES[own])}, and give a scale where the file has none of them."
+        )
 
 
 def replaced(names: Collection[str]) -> set[str]:
