@@ -432,7 +432,7 @@ def test_an_unknown_cause_names_axis_signals_and_learned_term():
 def test_a_file_that_was_refitted_is_not_called_right():
     shown = dataclasses.replace(nothing(), recalibrated=diagnosis().recalibrated, misfit_before=9.0)
     text = Reader(_page.page(shown)).text
-    assert "No single cause is to blame: 1 coefficient of the vehicle file" in text
+    assert "No single cause is to blame: the extended vehicle has 1 refitted coefficient of the file." in text
     assert "the vehicle file is off by 3 times the sensor noise, the extended vehicle by no more" in text
     assert "Nothing is wrong" not in text and "Nothing to mend" not in text
 

@@ -108,8 +108,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         else ("something that no known cause explains is left")
     )
     if diagnosis.verdict == "nothing_found" and diagnosis.recalibrated:
-        refitted = count(len(diagnosis.recalibrated), "coefficient")
-        return f"No single cause is to blame: {refitted} of the vehicle file were refitted together."
+        refitted = count(len(diagnosis.recalibrated), "refitted coefficient")
+        return f"No single cause is to blame: the extended vehicle has {refitted} of the file."
     if diagnosis.verdict == "nothing_found":
         return "Nothing is wrong that these logs could show: the vehicle file explains them."
     if diagnosis.verdict == "unexplained":
