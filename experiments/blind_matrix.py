@@ -273,17 +273,18 @@ def detection(rows: Sequence[Row], path: Path) -> None:
     singles = [r for r in rows if r["kind"] == "single"]
     plot, ax = plt.subplots(figsize=(5.5, 4), layout="constrained")
     ax.axvline(DETECTABLE, color="0.6", lw=1, ls="--")
-    for low, high in itertools.pairwise(np.geomspace(1.0, 10.0, 10)):
+    for low, high in itertools.pairwise([*np.geomspace(1.0, 10.0, 10), np.inf]):
         inside = [r for r in singles if low <= r["severity"] < high]
         if inside:
-            _marked(ax, float(np.sqrt(low * high)), share(inside, "first"))
+            middle = float(np.exp(np.mean(np.log([r["severity"] for r in inside]))))
+            _marked(ax, middle, share(inside, "first"))
     ax.set(
         xscale="log",
         xlabel="5 s prediction error with the effect left out, over the floor",
         ylabel="share named first",
         ylim=(0, 1.05),
     )
-    ax.set_xticks([1.1, 1.3, 2, 3, 5, 8], ["1.1", "1.3", "2", "3", "5", "8"])
+    ax.set_xticks([1.1, 1.3, 2, 3, 5, 8, 12], ["1.1", "1.3", "2", "3", "5", "8", "12"])
     ax.minorticks_off()
     ax.spines[["top", "right"]].set_visible(False)
     save_figure(plot, path)
