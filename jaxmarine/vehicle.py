@@ -223,14 +223,14 @@ class Vehicle(eqx.Module):
             gravity=self.gravity,
         )
         drive = self.thrusters.drive()
-        water = jnp.zeros(3)
+        current = None
         for effect in effects:
             if isinstance(effect, LoadEffect):
                 load = effect(load)
             elif isinstance(effect, DriveEffect):
                 drive = effect(drive)
             elif isinstance(effect, WaterEffect):
-                water = water + effect()
+                current = effect() if current is None else current + effect()
         free = jnp.asarray(self.free)
         arms = jnp.cross(self.thrusters.position, self.thrusters.direction)
         return Plant(
@@ -240,7 +240,7 @@ class Vehicle(eqx.Module):
             drive=drive,
             direction=self.thrusters.direction,
             allocation=jnp.concatenate([self.thrusters.direction, arms], axis=1).T,
-            water=water,
+            current=current,
             wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
             sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
             free=free,
@@ -255,7 +255,10 @@ def _inverse_mass(load: Load, free: Float[Array, "6"]) -> Matrix6:
 
 
 class Plant(eqx.Module):
-    """A vehicle at one time: constants ready for the equations of motion."""
+    """A vehicle at one time: constants ready for the equations of motion.
+
+    - `current`: velocity of the water [m/s] NED; None where nothing moves it, which spares a fifth of a step.
+    """
 
     load: Load
     inverse_mass: Matrix6
@@ -263,11 +266,16 @@ class Plant(eqx.Module):
     drive: Drive
     direction: Float[Array, "thrusters 3"]
     allocation: Float[Array, "6 thrusters"]
-    water: Vector3
+    current: Vector3 | None
     wrenches: tuple[WrenchEffect, ...]
     sensors: tuple[SensorEffect, ...]
     free: Float[Array, "6"]
     slider: Slider | None = None
+
+    @property
+    def water(self) -> Vector3:
+        """Velocity of the water [m/s] NED."""
+        return jnp.zeros(3) if self.current is None else self.current
 
     @property
     def has_memory(self) -> bool:
@@ -283,7 +291,9 @@ class Plant(eqx.Module):
 
     def relative(self, attitude: Quaternion, velocity: Velocity) -> Velocity:
         """Velocity through the water, body axes, zero on locked axes [m/s, rad/s]."""
-        flow = apply(rotation(attitude).T, self.water)
+        if self.current is None:
+            return velocity * self.free
+        flow = apply(rotation(attitude).T, self.current)
         return (velocity - jnp.concatenate([flow, jnp.zeros(3)])) * self.free
 
     def slides(self, t: Times, commands: Float[Array, "times columns"]) -> Slide | None:
@@ -324,9 +334,10 @@ class Plant(eqx.Module):
         """
         load = self.carried(drive)
         motion = self._motion(state, drive)
-        omega = state.velocity[3:]
-        current = apply(motion.rotation.T, self.water)
-        relative_dot = nu_dot + jnp.concatenate([jnp.cross(omega, current), jnp.zeros(3)]) * self.free
+        relative_dot = nu_dot
+        if self.current is not None:
+            turned = jnp.cross(state.velocity[3:], apply(motion.rotation.T, self.current))
+            relative_dot = relative_dot + jnp.concatenate([turned, jnp.zeros(3)]) * self.free
         along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
         thrust = drive.thrust * (1.0 - self.drive.inflow * along)
         out = (

@@ -33,8 +33,8 @@ from jaxmarine.fitting import (
 )
 from jaxmarine.logs import read_log, sensor_noise
 from jaxmarine.physics import rotation
-from jaxmarine.simulation import gates, hold, initial_state, inputs, simulate, substeps
-from jaxmarine.vehicle import Input, Placed
+from jaxmarine.simulation import gates, hold, hold_many, initial_state, inputs, simulate, substeps
+from jaxmarine.vehicle import Input, Placed, State
 from jaxmarine.vehicle_io import load_vehicle
 from tests.crafts import (
     SIMULATED,
@@ -106,6 +106,90 @@ def test_explicit_implicit_and_stepped_solutions_agree(decays):
     assert np.abs(explicit.channels - implicit.channels).max() < 1e-6
     # Order four at 0.1 s, where the fastest oscillation takes 1.7 s.
     assert np.abs(explicit.channels - stepping.channels)[:, :12].max() < 1e-3
+
+
+class Tabulated(diffrax.AbstractERK):
+    """The classical method by its tableau and diffrax' own steps."""
+
+    tableau = diffrax.ButcherTableau(
+        a_lower=(np.array([0.5]), np.array([0.0, 0.5]), np.array([0.0, 0.0, 1.0])),
+        b_sol=np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+        b_error=np.zeros(4),
+        c=np.array([0.5, 0.5, 1.0]),
+    )
+    interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+
+    def order(self, terms):
+        return 4
+
+
+def by_tableau(plant, state, drive, dt, split: int) -> State:
+    """`hold` as diffrax does it."""
+
+    def rates(t, state, args):
+        drive = args
+        thrust = drive.thrust + drive.slope * (t - drive.middle)
+        return plant.rates(state, Input(thrust, drive.command, drive.wrench, t))
+
+    method, dt = Tabulated(scan_kind="lax"), dt / split
+    for k in range(split):
+        t = drive.t + k * dt
+        step = method.step(
+            diffrax.ODETerm(rates), t, t + dt, state, drive, solver_state=False, made_jump=True
+        )
+        state = step[0]
+    return state
+
+
+def test_holds_of_one_and_of_many_are_those_of_the_tableau():
+    vehicle = packaged("tethra")
+    late = blind.Effect("thruster_lag", None, {"time_constant": 0.15})
+    vehicle = vehicle.place(*(placed(vehicle, e) for e in (*EVERYTHING, late)))
+    commands = jnp.asarray(random_commands(vehicle, 3, 1, seed=8))
+    over, _ = inputs(vehicle.plant(), jnp.asarray([0.0, 0.1, 0.25]), commands, jnp.ones((3, 6)))
+    starts = [random_start(vehicle, seed)[0] for seed in range(3)]
+    starts = [dataclasses.replace(s, memory=0.9 * s.velocity) for s in starts]
+    states = jax.tree.map(lambda *parts: jnp.stack(parts), *starts)
+    plants = jax.tree.map(lambda a: jnp.stack([a, 1.02 * a, 0.97 * a]), vehicle.plant())
+    dt = jnp.asarray([0.1, 0.15, 0.12])
+
+    @jax.jit
+    def run(plants, states, over, dt):
+        def last(tree):
+            return jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), tree)
+
+        first = jax.tree.map(lambda a: a[0], plants)
+        many = hold_many(last(plants), last(states), last(over), dt, 2, alike=False)
+        same = hold_many(first, last(states), last(over), dt, 2)
+        expected = jax.vmap(lambda *one: by_tableau(*one, 2))(plants, states, over, dt)
+        alike = jax.vmap(lambda *one: by_tableau(first, *one, 2))(states, over, dt)
+        one = hold(*jax.tree.map(lambda a: a[1], (plants, states, over, dt)), 2)
+        return (last(expected), many), (last(alike), same), (jax.tree.map(lambda a: a[1], expected), one)
+
+    for expected, found in run(plants, states, over, dt):
+        for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+            # The same steps; sums of stages and of forces in another order.
+            np.testing.assert_allclose(b, a, rtol=1e-10, atol=1e-12)
+
+
+def test_a_hold_is_differentiated_in_reverse_as_forwards():
+    vehicle = packaged("tethra")
+    plant, count = vehicle.plant(), len(vehicle.thruster_names)
+    start, drive = coasting(vehicle), Input(jnp.ones(count), jnp.zeros(count), jnp.ones(6), jnp.zeros(()))
+
+    def after(velocity, thrust):
+        state, pushed = (
+            dataclasses.replace(start, velocity=velocity),
+            dataclasses.replace(drive, thrust=thrust),
+        )
+        return (hold(plant, state, pushed, 0.1, 2).velocity ** 2).sum()
+
+    at = start.velocity, drive.thrust
+    slopes = jax.jit(jax.grad(after, argnums=(0, 1)))(*at)
+    forwards = jax.jit(jax.jacfwd(after, argnums=(0, 1)))(*at)
+    for a, b in zip(slopes, forwards, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-13)
+        assert np.abs(a).max() > 1e-4
 
 
 def test_a_hold_is_cut_as_finely_as_the_fastest_mode_needs():

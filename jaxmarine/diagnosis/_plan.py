@@ -102,7 +102,7 @@ class _Causes(eqx.Module):
         def step(state, now):
             over, at, dt = now
             shown = plant.readings(state, plant.acceleration(state, at))
-            return hold(plant, state, over, dt, self.split, backward=True), (state, shown)
+            return hold(plant, state, over, dt, self.split), (state, shown)
 
         return jax.lax.scan(step, start, tracks)[1]
 

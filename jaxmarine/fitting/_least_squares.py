@@ -42,16 +42,65 @@ def solve_linear(matrix: Float[Array, "rows p"], right: Float[Array, " rows"]) -
 
     Rows that are all zero, on both sides, do not count as samples.
     """
-    # Columns of one length, so that the triangular solve sees no units.
-    length = jnp.sqrt((matrix**2).sum(0))
-    length = jnp.where(length > 0, length, 1.0)
-    q, r = jnp.linalg.qr(matrix / length[None])
+    q, r, length = _factored(matrix)
     scaled = jax.scipy.linalg.solve_triangular(r, q.T @ right)
     inverse = jax.scipy.linalg.solve_triangular(r, jnp.eye(len(length))) / length[:, None]
     rest = right - matrix @ (scaled / length)
     used = ((matrix != 0).any(axis=1) | (right != 0)).sum()
     variance = (rest**2).sum() / jnp.maximum(used - len(length), 1)
     return LinearSolution(scaled / length, variance * inverse @ inverse.T)
+
+
+def _factored(matrix: Float[Array, "rows p"]):
+    """Q, R and lengths such that the matrix is Q R times the lengths, column by column."""
+    # Columns of one length, so that the triangular solve sees no units.
+    length = jnp.sqrt((matrix**2).sum(0))
+    length = jnp.where(length > 0, length, 1.0)
+    return *jnp.linalg.qr(matrix / length[None]), length
+
+
+def members_of(group: Int[np.ndarray, " samples"]) -> Int[np.ndarray, "groups most"]:
+    """The samples of each group by index; smaller ones filled up by the index behind the last."""
+    order = np.argsort(group, kind="stable")
+    sizes = np.bincount(group)
+    out = np.full((len(sizes), sizes.max()), len(group))
+    out[np.arange(out.shape[1])[None] < sizes[:, None]] = order
+    return out
+
+
+@eqx.filter_jit
+def resample_linear(
+    matrix: Float[Array, "samples axes p"],
+    right: Float[Array, "samples axes"],
+    members: Int[Array, "groups most"],
+    keys: PRNGKeyArray,
+) -> Float[Array, "draws p"]:
+    """Least squares once per key, on as many groups of samples as there are, drawn with replacement.
+
+    - `members`: the samples of each group (`members_of`).
+
+    Each group's part of the normal equations is formed once; a draw only counts the groups. It is formed
+    of orthonormal columns, in which the sum over all groups is the identity: the normal equations of a
+    draw are then about as well conditioned as its groups are alike, whatever the condition of the matrix.
+    """
+    samples, axes, count = matrix.shape
+    q, r, length = _factored(matrix.reshape(-1, count))
+    groups, most = members.shape
+
+    def grouped(a):
+        return a.at[members].get(mode="fill", fill_value=0.0).reshape(groups, most * axes, -1)
+
+    rows, sides = grouped(q.reshape(samples, axes, count)), grouped(right[..., None])
+    parts = jnp.einsum("gri,grj->gij", rows, jnp.concatenate([rows, sides], axis=-1))
+
+    def one(key):
+        drawn = jnp.zeros(groups).at[jax.random.randint(key, (groups,), 0, groups)].add(1.0)
+        summed = jnp.tensordot(drawn, parts, 1)
+        scaled = jnp.linalg.solve(summed[:, :-1], summed[:, -1])
+        return jax.scipy.linalg.solve_triangular(r, scaled) / length
+
+    # One draw after the other: see `Statistics.reduced` for what a batch of small factorisations does.
+    return jax.lax.map(one, keys)
 
 
 class LeastSquares(eqx.Module):
@@ -110,15 +159,20 @@ def least_squares(
         )
     known = task.samples.weight > 0
     _check_rank(np.asarray(matrix)[np.asarray(known)], freed.names)
-    group = jnp.asarray(groups_of(logs, known.shape[1], window))
-    weight, ones = 1.0 * known, jnp.ones(int(group.max()) + 1)
-    first = _weighted(matrix, right, weight, group, ones)
+    weight = 1.0 * known
+    first = _weighted(matrix, right, weight)
     rest = np.asarray(right - matrix @ first.values)
     scatter = jnp.asarray(scatter_of(rest, np.asarray(known)))
     weight = weight / jnp.maximum(scatter, 1e-12)[None, None]
-    solution = _weighted(matrix, right, weight, group, ones)
+    solution = _weighted(matrix, right, weight)
+    members = members_of(groups_of(logs, known.shape[1], window).ravel())
     keys = jax.random.split(jax.random.key(0) if key is None else key, bootstrap)
-    resampled = _resampled(matrix, right, weight, group, keys, len(ones))
+    resampled = resample_linear(
+        (matrix * weight[..., None]).reshape(-1, *matrix.shape[2:]),
+        (right * weight).reshape(-1, right.shape[-1]),
+        jnp.asarray(members),
+        keys,
+    )
     scale = jnp.asarray(scales.size)
     return LeastSquares(
         vehicle=freed(solution.values * scale + freed.start),
@@ -144,21 +198,9 @@ def _regression(task: OneStep):
 
 
 @eqx.filter_jit
-def _weighted(matrix, right, weight, group, count: Float[Array, " groups"]) -> LinearSolution:
-    """The solution where each group of samples counts so many times."""
-    weight = weight * jnp.sqrt(count)[group][..., None]
+def _weighted(matrix, right, weight) -> LinearSolution:
     rows = (matrix * weight[..., None]).reshape(-1, matrix.shape[-1])
     return solve_linear(rows, (right * weight).ravel())
-
-
-@eqx.filter_jit
-def _resampled(matrix, right, weight, group: Int[Array, "logs steps"], keys, groups: int):
-    def one(key):
-        drawn = jax.random.randint(key, (groups,), 0, groups)
-        count = jnp.zeros(groups).at[drawn].add(1.0)
-        return _weighted(matrix, right, weight, group, count).values
-
-    return jax.vmap(one)(keys)
 
 
 def _check_rank(rows: np.ndarray, names: tuple[str, ...]) -> None:

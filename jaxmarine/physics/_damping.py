@@ -14,4 +14,6 @@ def damping(linear: Matrix6, quadratic: Matrix6, nu_r: Velocity) -> Wrench:
 
     Thesis (5.24), with the elementwise product that is meant there.
     """
-    return apply(linear, nu_r) + apply(quadratic, jnp.abs(nu_r) * nu_r)
+    # Both in one product: of small ones the number counts.
+    both = jnp.concatenate([linear, quadratic], axis=1)
+    return apply(both, jnp.concatenate([nu_r, jnp.abs(nu_r) * nu_r]))

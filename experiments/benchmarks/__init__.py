@@ -1,0 +1,1 @@
+"""What takes how long, beside what else one could use: one script per question."""

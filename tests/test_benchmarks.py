@@ -1,0 +1,194 @@
+"""The benchmarks in their tiny size: that contenders come to the same, never how long they take."""
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from experiments.benchmarks import _forms, levenberg_marquardt
+from experiments.benchmarks._rounds import (
+    Missing,
+    Table,
+    Target,
+    Timing,
+    Uncompared,
+    compared,
+    difference,
+)
+
+# Sums of products in another order: a thousand roundings, with room.
+ROUNDED = 1e-10
+# One Runge-Kutta step per hold of 0.1 s, in which the fastest mode (roll) turns by 0.3 rad: 0.3^5 / 120 each.
+METHOD = 1e-3
+# The midpoint exponential's share of a hold's change, see `jaxmarine.fitting._linearise`.
+MIDPOINT = 2e-2
+
+
+def ran(name: str, out: Path) -> dict[str, Any]:
+    """What a script writes in its tiny size."""
+    app = typer.Typer()
+    app.command()(importlib.import_module(f"experiments.benchmarks.{name}").main)
+    done = CliRunner().invoke(app, ["--out", str(out), "--quick"], catch_exceptions=False)
+    assert done.exit_code == 0
+    found = json.loads((out / "results.json").read_text())
+    assert found["machine"]["threads"] >= 1
+    for table in found.get("tables", []):
+        for contender, why in table["skipped"].items():
+            assert contender and why
+            assert f"| {contender} | skipped: {why} |" in (out / "results.md").read_text()
+    return found
+
+
+def differences(table: dict[str, Any]) -> dict[str, float]:
+    """By contender, without those that are only timed."""
+    timings = table["timings"].items()
+    return {name: timing["difference"] for name, timing in timings if timing["difference"] is not None}
+
+
+# --- the rounds -------------------------------------------------------------------------------------
+
+
+def test_contenders_take_turns_and_are_compared_with_the_reference():
+    order = []
+
+    def maker(name, value):
+        def run():
+            order.append(name)
+            return value
+
+        return lambda: run
+
+    def absent():
+        raise Missing("no compiler")
+
+    makers = {"a": maker("a", np.ones(3)), "b": maker("b", np.array([1.0, 1.0, 1.5])), "c": absent}
+    table = compared("Which?", makers, np.ones(3), "a", 2)
+    assert order == ["a", "b", "a", "b", "a", "b"]
+    assert table.timings["a"].difference == 0.0
+    assert table.timings["b"].difference == 0.5
+    assert table.skipped == {"c": "no compiler"}
+    assert "| c | skipped: no compiler |" in table.markdown()
+
+
+def test_ratios_are_those_of_rounds_and_targets_know_who_was_skipped():
+    timings = {"slow": Timing((2.0, 20.0, 3.0), 0.0), "unit": Timing((1.0, 10.0, 1.0), None)}
+    table = Table("Which?", timings, "unit", "step", 10)
+    assert table.ratio("slow", "unit") == 2.0
+    assert "| slow | 300 ms (200 ms to 2 s) | 2 | 0.0e+00 |" in table.markdown()
+    assert Target("slow", table, "slow", "unit", 1.0, 4.0).ratio == 0.5
+    assert Target("slow", table, "slow", None, 1.0).ratio == 3.0
+    assert Target("slow", table, "slow", "absent", 1.0).ratio is None
+
+
+def test_a_difference_is_relative_to_the_largest_number_of_each_array():
+    assert difference((np.array([1.0, 101.0]), 2.0), (np.array([1.0, 100.0]), 2.0)) == 0.01
+    with pytest.raises(ValueError):
+        difference((1.0,), (1.0, 2.0))
+
+
+def test_a_contender_whose_library_is_missing_is_skipped_with_a_word():
+    table = compared("Which?", {"x": lambda: importlib.import_module("no_such_library")}, 0.0, "x", 1)
+    assert table.skipped == {"x": "No module named 'no_such_library'"}
+
+
+def test_a_result_of_another_kind_is_only_timed():
+    table = compared("Which?", {"x": lambda: lambda: Uncompared(jnp.zeros(3))}, 1.0, "x", 1)
+    assert table.timings["x"].difference is None
+
+
+# --- the scripts ------------------------------------------------------------------------------------
+
+
+def test_roll_outs_come_to_the_same(tmp_path):
+    found = ran("rollout", tmp_path)
+    for table in found["tables"]:
+        off = differences(table)
+        # Its steps are as fine as it finds them to need.
+        assert off.pop("diffeqsolve, Tsit5", 0.0) < 1e-4
+        # The wrench is looked up by time, and its last stage sees the next one.
+        looked_up = off.pop("diffeqsolve, constant step", METHOD)
+        assert looked_up < 10.0 * METHOD
+        # All others make the same steps, with the same error of the method.
+        assert np.ptp(list(off.values())) < ROUNDED
+        assert max(off.values()) < METHOD
+
+
+def test_least_squares_come_to_the_same(tmp_path):
+    single, bootstrap = ran("least_squares", tmp_path)["tables"]
+    assert max(differences(single).values()) < ROUNDED
+    off = differences(bootstrap)
+    # Plain Gram matrices square a condition number of 1e3.
+    assert off.pop("Gram matrices of windows") < 1e-8
+    assert max(off.values()) < ROUNDED
+
+
+@pytest.mark.slow
+def test_quick_levenberg_marquardt_reaches_what_it_is_asked_for(tmp_path):
+    _, equal = ran("levenberg_marquardt", tmp_path)["tables"]
+    assert set(differences(equal).values()) == {0.0}
+
+
+@pytest.mark.slow
+def test_solvers_agree_where_they_start_near_one_minimum():
+    starts = levenberg_marquardt.networks_of(1)
+    samples = levenberg_marquardt.samples_of(60)
+    shown = jax.vmap(lambda net: jax.vmap(net)(samples.x)[:, 0], out_axes=1)(starts)
+    samples = samples._replace(y=shown + 0.02 * samples.y)
+    scipy = levenberg_marquardt.by_scipy(starts, samples, 200)
+    ours = levenberg_marquardt.by_normal_equations(starts, samples, 30)
+    qr = levenberg_marquardt.by_optimistix(starts, samples, 30)
+    # A minimum is flat: costs agree far better than weights.
+    assert np.allclose(ours, scipy, rtol=1e-6)
+    assert np.allclose(qr, scipy, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_come_to_the_same(tmp_path):
+    tables = ran("gradient", tmp_path)["tables"]
+    for table in tables[:2]:
+        assert max(differences(table).values()) < ROUNDED
+    for table in tables[2:]:
+        off = differences(table)
+        assert off.pop("jaxmarine, sensitivity recursion") < MIDPOINT
+        # Forward differences of 1e-6 in parameters of size 1 to 20.
+        assert off.pop("scipy, finite differences") < 1e-4
+        assert max(off.values()) < ROUNDED
+
+
+@pytest.mark.slow
+def test_a_quick_diagnosis_finds_the_thruster(tmp_path):
+    screening, whole = ran("diagnosis", tmp_path)["tables"]
+    assert max(differences(screening).values()) < MIDPOINT
+    assert max(differences(whole).values()) < 0.05
+
+
+@pytest.mark.slow
+def test_a_program_from_the_cache_comes_to_the_same(tmp_path):
+    found = ran("startup", tmp_path)
+    assert max(differences(found["tables"][1]).values()) == 0.0
+    assert all(len(parts) == 3 for parts in found["tracing, compiling, running [s]"].values())
+
+
+@pytest.mark.slow
+def test_what_grows_is_drawn_and_right(tmp_path):
+    curves = ran("growth", tmp_path)["curves"]
+    assert len(curves) == 5
+    for curve in curves:
+        assert all(point["bytes"] > 0 for point in curve["points"])
+        limit = METHOD if curve["what"] == "reverse gradient" else MIDPOINT
+        assert max(point["difference"] for point in curve["points"]) < limit
+        assert set(curve["exponents"]) == {"time", "memory"}
+    assert (tmp_path / "growth.svg").exists()
+
+
+def test_without_a_compiler_c_is_skipped(monkeypatch):
+    monkeypatch.setattr(_forms.shutil, "which", lambda name: None)
+    with pytest.raises(Missing, match="compiler"):
+        _forms.library()
