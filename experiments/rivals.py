@@ -31,17 +31,18 @@ import jaxmarine as jm
 from experiments._study import write_results
 from experiments.blind import grading
 from experiments.blind_matrix import BLOCK, Row, detectable, share
+from jaxmarine._compiled import compiled
 from jaxmarine._types import CHANNELS, DOFS, RATE, VELOCITY
 from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
-from jaxmarine.diagnosis._model import BEGUN, SEGMENTS, Member, Model, Workbench, _linearise
+from jaxmarine.diagnosis._model import SEGMENTS, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._score import solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._worth import measured_gain
 from jaxmarine.effects import CATALOGUE
-from jaxmarine.fitting import Affine
+from jaxmarine.fitting import Affine, linearise
 from jaxmarine.fitting._coverage import acceleration_of
 from jaxmarine.fitting._one_step import OneStep, Samples
 from jaxmarine.logs import smooth_states
@@ -239,12 +240,10 @@ def by_score(case: Case, rounds: int) -> Row:
 def _plain(bench: Workbench, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the catalogue's parameters, nothing eliminated."""
     size = bench.layout.size
-    # As wide as the diagnosis' own screening, whose program then serves here too.
-    columns = np.eye(size, size + BEGUN)
-    affine = Affine(jnp.asarray(bench.theta(model)), jnp.asarray(columns), jnp.ones((SEGMENTS, size + BEGUN)))
-    stats = _linearise(bench.problem(model.members), affine, model.delta, bench.knots)
+    affine = Affine(jnp.asarray(bench.theta(model)), jnp.eye(size), jnp.ones((SEGMENTS, size)))
+    stats = compiled(linearise)(bench.problem(model.members), affine, model.delta)
     g, h = (np.asarray(a)[: bench.count].sum(axis=0) for a in (stats.g_z, stats.h_zz))
-    return g[:size], h[:size, :size]
+    return g, h
 
 
 def black_box(case: Case, rounds: int) -> Row:

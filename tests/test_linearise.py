@@ -12,7 +12,16 @@ import pytest
 
 from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
-from jaxmarine.fitting import Affine, Problem, cut, linearise, measured_channels, predict, start_precision
+from jaxmarine.fitting import (
+    Affine,
+    Problem,
+    cut,
+    linearise,
+    measured_channels,
+    predict,
+    screening,
+    start_precision,
+)
 from jaxmarine.fitting._linearise import FEW, Columns
 from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
@@ -189,6 +198,45 @@ def test_elimination_is_that_of_the_whole_problem():
         size = np.abs(stats.h_zz[w]).max()
         assert np.allclose(g[w], stats.g_z[w] - stats.h_xz[w].T @ solved[:, 0], atol=1e-6 * size)
         assert np.allclose(h[w], stats.h_zz[w] - stats.h_xz[w].T @ solved[:, 1:], atol=1e-6 * size)
+
+
+def test_a_screening_sums_groups_of_windows_and_has_a_free_wrench():
+    """By the linearisation of each window, and by forward mode along wrenches that are in the log."""
+    this, delta, stats, (_, by_move, by_z) = both(*THREE_AXES)
+    windows, problem, knots = len(delta), this.problem, 2
+    width = by_z.shape[2]
+    group = np.minimum(np.arange(windows) // 2, 2)  # the last one is left out
+    own = np.eye(width + 6 * knots)[:, width - 3 :]
+    found = eqx.filter_jit(screening)(problem, this.affine, jnp.asarray(delta), knots, own, group, 2)
+
+    chi2, g, h = (np.asarray(a) for a in jax.tree.map(jnp.asarray, stats).reduced())
+    size = np.abs(h).max()
+    assert np.allclose(found.chi2, chi2, rtol=1e-9)
+    assert np.allclose(found.g[:, :width], g, atol=1e-9 * size)
+    for k in range(2):
+        assert np.allclose(found.h[k], h[group == k].sum(0), atol=1e-9 * size)
+    assert np.allclose(found.h_own[:, :3, :3], h[:, -3:, -3:], atol=1e-9 * size)
+
+    log, step = problem.windows.log[:, None], problem.windows.step
+    part = np.arange(step.shape[1]) * knots // step.shape[1]
+
+    @eqx.filter_jit
+    def residuals(push):
+        over = problem.records.wrench.at[log, step].add(push[part][None])
+        records = dataclasses.replace(problem.records, wrench=over)
+        return predict(dataclasses.replace(problem, records=records), this.affine.theta, delta)[1]
+
+    by_wrench = np.asarray(jax.jacfwd(residuals)(jnp.zeros((knots, 6))))
+    by_wrench = by_wrench.reshape(windows, -1, 6 * knots)
+    precision = np.diag(np.asarray(problem.start_precision))
+    for w in range(windows):
+        start, pushed = by_move[w], by_wrench[w]
+        known = np.linalg.solve(start.T @ start + precision, start.T @ pushed)
+        exact = pushed.T @ pushed - (start.T @ pushed).T @ known
+        bound = np.linalg.norm(pushed, axis=0)
+        # As the derivatives by z above.
+        assert (np.abs(found.h_own[w, 3:, 3:] - exact) <= 0.02 * np.outer(bound, bound) + 1e-12).all()
+    assert np.linalg.norm(by_wrench, axis=(0, 1)).max() > 1.0
 
 
 def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one():

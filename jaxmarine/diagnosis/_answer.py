@@ -101,8 +101,7 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     members, count = now.model.members, len(bench.base)
     share = wrong_by(bench, now.model)
     named = {m.suspect for m in members}
-    stats = now.knots.wrench(couplings(bench.vehicle, now.knots.places))
-    g, h = stats.g.sum(0), stats.h.sum(0)
+    g, h = now.knots.summed(couplings(bench.vehicle, now.knots.places))
     width = now.knots.width
     filed = [] if dense else [j for j, c in enumerate(bench.base) if c.suspect not in named]
     estimated = np.arange(0 if dense else count, width)

@@ -43,21 +43,16 @@ class Knots:
     free: np.ndarray
     places: Places
 
-    def wrench(self, values: Float[np.ndarray, "windows knots 6 features"]) -> Reduced:
-        """Statistics of z and of wrenches with the given values at the knots."""
+    def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information, over all windows, of z and of wrenches with these values at the knots."""
         n = self.width
         flat = values.reshape(len(values), values.shape[1] * 6, values.shape[-1])
         g, h = self.stats.g, self.stats.h
-        h_zk = np.einsum("wzk,wkf->wzf", h[:, :n, n:], flat, optimize=True)
-        h_kk = np.einsum("wkf,wkl,wlm->wfm", flat, h[:, n:, n:], flat, optimize=True)
-        g_k = np.einsum("wk,wkf->wf", g[:, n:], flat)
-        top = np.concatenate([h[:, :n, :n], h_zk], axis=2)
-        bottom = np.concatenate([np.swapaxes(h_zk, 1, 2), h_kk], axis=2)
-        return Reduced(
-            self.stats.chi2,
-            np.concatenate([g[:, :n], g_k], axis=1),
-            np.concatenate([top, bottom], axis=1),
-        )
+        h_zk = np.tensordot(np.swapaxes(h[:, :n, n:], 1, 2), flat, ((0, 1), (0, 1)))
+        h_kk = np.tensordot(flat, h[:, n:, n:] @ flat, ((0, 1), (0, 1)))
+        g_k = np.tensordot(g[:, n:], flat, 2)
+        h = np.block([[h[:, :n, :n].sum(0), h_zk], [h_zk.T, h_kk]])
+        return np.concatenate([g[:, :n].sum(0), g_k]), h
 
     def beside(self, values: Float[np.ndarray, "windows knots 6 features"], share: float) -> "Knots":
         """The statistics once wrenches with these values may act, each as often as a prior `share` allows.
@@ -65,8 +60,7 @@ class Knots:
         The known numbers give way to them (one step of the linearised chi-square).
         """
         n = self.width
-        stats = self.wrench(values)
-        h, g = stats.h.sum(0), stats.g.sum(0)
+        g, h = self.summed(values)
         h += np.diag(np.concatenate([self.precision, np.full(values.shape[-1], share**-2)]))
         g[:n] += self.precision * self.offset
         step = -solve(h, g)
@@ -80,21 +74,12 @@ class Knots:
 
 def knots(bench: Workbench, model: Model) -> Knots:
     """The knots' statistics at a model."""
-    count = bench.knots
-    whole = bench.screen_with_knots(model)
     known, precision, offset = bench.known(model)
-    size, width = known.shape
-    # From the catalogue's parameters to the model's own.
-    into = np.zeros((whole.g.shape[1], width + 6 * count))
-    into[:size, :width] = known
-    into[size:, width:] = np.eye(6 * count)
-    stats = Reduced(whole.chi2, whole.g @ into, np.swapaxes(whole.h @ into, 1, 2) @ into)
-
     # Forces on the hull depend on the velocity through the water, where that is known to move.
     places = bench.places
     signals = places.through_water(bench.water(model), places.signals)
     places = dataclasses.replace(places, signals=signals)
-    return Knots(stats, width, precision, offset, bench.vehicle.free, places)
+    return Knots(bench.with_knots(model), known.shape[1], precision, offset, bench.vehicle.free, places)
 
 
 def missing_wrench(k: Knots) -> MissingWrench:
@@ -139,16 +124,19 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     knot = float(np.median(np.diff(t, axis=1)))
     slowest = min(2.0 / span, 1.0 / (8 * knot))
     frequencies = np.arange(slowest, 1.0 / (4 * knot), 0.3 / span)
-    stats = _horizontal(k, here)
     n, count = k.width, t.shape[1]
-    h_z = stats.h[:, :n, :n].sum(0) + np.diag(k.precision)
-    g_z = stats.g[:, :n].sum(0) + k.precision * k.offset
+    h_z = k.stats.h[here, :n, :n].sum(0) + np.diag(k.precision)
+    g_z = k.stats.g[here, :n].sum(0) + k.precision * k.offset
     inverse = solve(h_z, np.eye(n))
     pulled = inverse @ g_z
-    # Knots times (north, east).
-    g = stats.g[:, n:].reshape(-1, count, 2)
-    cross = stats.h[:, :n, n:].reshape(len(t), n, count, 2)
-    own = stats.h[:, n:, n:].reshape(-1, count, 2, count, 2)
+    # Of forces to the north and to the east at each knot.
+    axes = np.swapaxes(k.places.rotation[here], 2, 3)[..., :2]
+    by_axis = k.stats.g[here, n:].reshape(-1, count, 6)[..., :3]
+    g = np.einsum("wkj,wkja->wka", by_axis, axes)
+    by_axis = k.stats.h[here, :n, n:].reshape(-1, n, count, 6)[..., :3]
+    cross = np.einsum("wnkj,wkja->wnka", by_axis, axes)
+    by_axis = k.stats.h[here, n:, n:].reshape(-1, count, 6, count, 6)[:, :, :3, :, :3]
+    own = np.einsum("wkilj,wkia,wljb->wkalb", by_axis, axes, axes, optimize=True)
     best = (-np.inf, {})
     for frequency in frequencies:
         angle = 2 * np.pi * frequency * t
@@ -176,13 +164,3 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
                 },
             )
     return best
-
-
-def _horizontal(k: Knots, here: np.ndarray) -> Reduced:
-    """Statistics of z and of a force to the north and one to the east at each knot, of some windows."""
-    count = k.places.t.shape[1]
-    axes = np.swapaxes(k.places.rotation[here], 2, 3)[..., :2]
-    values = np.zeros((len(axes), count, 6, count, 2))
-    values[:, range(count), :3, range(count)] = np.swapaxes(axes, 0, 1)
-    some = dataclasses.replace(k, stats=Reduced(k.stats.chi2[here], k.stats.g[here], k.stats.h[here]))
-    return some.wrench(values.reshape(len(axes), count, 6, 2 * count))

@@ -21,14 +21,15 @@ from ..fitting import (
     Cut,
     Problem,
     Room,
+    Screening,
     Segments,
     Task,
     coefficient_name,
     evaluated,
-    linearise,
     measured_channels,
     predict,
     refine_windows,
+    screening,
     segments,
     start_precision,
 )
@@ -45,6 +46,9 @@ SLOTS, FEW = 44, 8
 # stretches between beginnings, those of the vehicle file included.
 BEGUN = 6
 SEGMENTS = 4
+# Groups that windows are screened in at most: each window of logs of up to 40 min, some in a row of longer
+# ones, as each group takes up half a megabyte.
+GROUPS = 600
 # Damping with which a refinement begins, at most: as the one before ended, which knows how far a step holds.
 MOST_DAMPING = 0.1
 # A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
@@ -121,6 +125,7 @@ class Workbench:
     It holds no state of the search: a `Model` goes in, a `Model` comes out.
 
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
+    - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
     """
 
     def __init__(
@@ -142,12 +147,19 @@ class Workbench:
         self.count = data.windows.count
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
         self.freedom = float(max(self.samples - self.count * _starts(data, vehicle), 1))
-        self.window_log = np.asarray(data.windows.log)
+        log = np.asarray(data.windows.log)
+        group = _grouped(log)
+        self.group_windows = np.flatnonzero(np.diff(group, prepend=-1))
+        self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
         self.room = Room.of(data.records, data.windows)
         # No more than samples: a knot without one would stand for nothing.
         self.knots = min(max(2, round(data.length / KNOT)), data.windows.step.shape[1])
         self._own = segments(vehicle, data.logs)
-        self._screened: tuple[Model, Reduced] | None = None
+        self._screened: tuple[Model, Screening] | None = None
+        # Windows that only fill the programs' arrays up are in a group of their own, the last.
+        self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
+        self._groups = np.full(self.room.windows, self._most_groups)
+        self._groups[: self.count] = group
         records, windows = self.room.filled(data.records, data.windows)
         self._problem = Problem(
             SaturatedPlant(vehicle, families, jnp.ones((SEGMENTS, len(vehicle.placed)))),
@@ -443,18 +455,41 @@ class Workbench:
         return dataclasses.replace(model, members=members, z=np.delete(model.z, where), cost=np.inf)
 
     def screen(self, model: Model) -> Reduced:
-        """Reduced statistics of every parameter of the catalogue at the model, then of members that begin."""
-        whole = self.screen_with_knots(model)
-        n = self.layout.size + BEGUN
-        return Reduced(whole.chi2, whole.g[:, :n], whole.h[:, :n, :n])
+        """Reduced statistics of every parameter of the catalogue at the model, then of members that begin.
 
-    def screen_with_knots(self, model: Model) -> Reduced:
-        """Those of `screen`, then of a free wrench on the hull in each of `knots` parts of a window.
-
-        The last one is kept: screening and missing wrench are commonly asked of the same model.
+        Of each group of windows; of each window, where there are not many.
         """
+        found, n = self._screening(model), self.layout.size + BEGUN
+        first = self.group_windows
+        return Reduced(
+            np.add.reduceat(np.asarray(found.chi2)[: self.count], first),
+            np.add.reduceat(np.asarray(found.g)[: self.count, :n], first, axis=0),
+            np.asarray(found.h)[: len(first)],
+        )
+
+    def with_knots(self, model: Model) -> Reduced:
+        """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window."""
+        found, own = self._screening(model), self._own_columns(model)
+        return Reduced(
+            np.asarray(found.chi2)[: self.count],
+            np.asarray(found.g)[: self.count] @ own,
+            np.asarray(found.h_own)[: self.count, : own.shape[1], : own.shape[1]],
+        )
+
+    def _own_columns(self, model: Model) -> np.ndarray:
+        """The model's z and the knots among the columns of a screening."""
+        known, _, _ = self.known(model)
+        more = 6 * self.knots
+        out = np.zeros((len(known) + more, known.shape[1] + more))
+        out[: len(known), : known.shape[1]] = known
+        out[len(known) :, known.shape[1] :] = np.eye(more)
+        return out
+
+    def _screening(self, model: Model) -> Screening:
+        """The last one is kept: screening and missing wrench are commonly asked of the same model."""
         if self._screened is not None and self._screened[0] is model:
             return self._screened[1]
+        self._screened = None
         size, own = self.layout.size, self.affine(model.members)
         columns = np.zeros((size, size + BEGUN))
         columns[:, :size] = np.eye(size)
@@ -467,10 +502,20 @@ class Workbench:
                 acts[:, at : at + width] = own.acts[:, where]
                 at += width
         affine = Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
-        stats = _linearise(self.problem(model.members), affine, model.delta, self.knots)
-        whole = Reduced(*(np.asarray(a)[: self.count] for a in stats.reduced()))
-        self._screened = (model, whole)
-        return whole
+        asked = self._own_columns(model)
+        room = np.zeros((len(asked), SLOTS + 6 * self.knots))
+        room[:, : asked.shape[1]] = asked
+        found = _screening(
+            self.problem(model.members),
+            affine,
+            model.delta,
+            self.knots,
+            jnp.asarray(room),
+            jnp.asarray(self._groups),
+            self._most_groups,
+        )
+        self._screened = (model, found)
+        return found
 
     def check(self, model: Model) -> Check:
         """What the logs tell of the file's coefficients, at the model."""
@@ -512,6 +557,13 @@ def _starts(data: Cut, vehicle: Vehicle) -> int:
     return int((measured[0] & free).sum() + (measured.any(axis=0) & free).sum())
 
 
+def _grouped(log: Int[np.ndarray, " windows"]) -> Int[np.ndarray, " windows"]:
+    """The group of each window: as many in a row of a log as make no more than `GROUPS` in all, or a few."""
+    size = -(-len(log) // GROUPS)
+    number = np.arange(len(log)) - np.searchsorted(log, log)
+    return np.cumsum(np.diff(log, prepend=log[0]).astype(bool) | (number % size == 0)) - 1
+
+
 def filled(rows: np.ndarray) -> np.ndarray:
     """One row per segment that the programs have, the last one repeated."""
     return np.concatenate([rows, np.repeat(rows[-1:], SEGMENTS - len(rows), axis=0)])
@@ -525,8 +577,8 @@ def same_log(a: Log, b: Log) -> bool:
 
 
 @compiled
-def _linearise(problem, affine, delta, knots: int):
-    return linearise(problem, affine, delta, knots)
+def _screening(problem, affine, delta, knots: int, own, group, groups: int):
+    return screening(problem, affine, delta, knots, own, group, groups)
 
 
 @compiled

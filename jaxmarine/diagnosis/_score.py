@@ -13,7 +13,7 @@ FOLDS, STRETCH = 6, 3
 
 @dataclasses.dataclass(frozen=True)
 class Reduced:
-    """Per window: gradient and information of all columns, initial states eliminated."""
+    """Per window, or group of them: gradient and information of all columns, initial states eliminated."""
 
     chi2: Float[np.ndarray, " windows"]
     g: Float[np.ndarray, "windows columns"]
@@ -106,15 +106,15 @@ def savings(
     h_kk = known.T @ stats.h.sum(0) @ known + np.diag(precision)
     g_k = known.T @ stats.g.sum(0) + precision * offset
     out = np.full((len(owns), windows), -np.inf)
-    h_after = np.cumsum(stats.h[::-1], axis=0)[::-1]
-    g_after = np.cumsum(stats.g[::-1], axis=0)[::-1]
-    for w in range(windows):
+    h_after, g_after = np.zeros_like(stats.h[0]), np.zeros_like(stats.g[0])
+    for w in reversed(range(windows)):
+        h_after, g_after = h_after + stats.h[w], g_after + stats.g[w]
         if w and (w < earliest or windows - w < earliest):
             continue
-        h_kc = known.T @ h_after[w]
+        h_kc = known.T @ h_after
         x = solve(h_kk, h_kc)
-        h = h_after[w] - x.T @ h_kc
-        g = g_after[w] - x.T @ g_k
+        h = h_after - x.T @ h_kc
+        g = g_after - x.T @ g_k
         for i, own in enumerate(owns):
             own_g = own.T @ g
             out[i, w] = own_g @ solve(own.T @ h @ own, own_g)

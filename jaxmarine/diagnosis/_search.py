@@ -148,7 +148,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
         out.append((Member(i), float(row[0])))
         w = int(np.argmax(row[1:])) + 1 if len(row) > 1 else 0
         if w and bench.may_begin(model, i) and np.isfinite(row[w]):
-            begun[i] = Member(i, Beginning(int(bench.window_log[w]), float(bench.data.starts[w])))
+            begun[i] = Member(i, Beginning(int(bench.group_log[w]), float(bench.group_starts[w])))
             if row[w] > row[0] + max(BEGINS, WORTHWHILE * row[0]):
                 out.append((begun[i], float(row[w])))
     return [member for member, _ in sorted(out, key=lambda item: -item[1])], begun
@@ -227,7 +227,7 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
     And at least what makes its evidence worth mentioning (odds of 20 to 1).
     """
     own = bench.layout.columns[member.suspect].shape[1]
-    tried = len(bench.layout.suspects) * (bench.count if member.since else 1)
+    tried = len(bench.layout.suspects) * (len(bench.group_windows) if member.since else 1)
     return phi * max(2 * own + 2 * np.log(tried) + 2 * MARGIN, penalty(bench, member) + CLOSE)
 
 
@@ -241,8 +241,8 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
     since = trial.member.since
     if since is not None:
         # Windows in which it does not act say nothing of it.
-        acts = (bench.window_log > since.log) | (
-            (bench.window_log == since.log) & (bench.data.starts >= since.time - 1e-9)
+        acts = (bench.group_log > since.log) | (
+            (bench.group_log == since.log) & (bench.group_starts >= since.time - 1e-9)
         )
         lost = lost[acts]
     least = needed(bench, trial.member, phi)

@@ -157,11 +157,14 @@ def _left_out(
     x = np.ones((*y.shape, count + 1))
     x[..., :-1] = (values - centre) / np.maximum(spread, 1e-9)
     pull = total * np.diag([*np.ones(count), 0.0])
-    weighted = np.swapaxes(x * weight[..., None], 1, 2)
     names, fold = np.unique(blocks(len(y)), return_inverse=True)
     rest = np.array([np.convolve(fold == b, [1, 1, 1], "same") == 0 for b in range(len(names))], float)
-    h = np.tensordot(rest, weighted @ x, 1)
-    g = rest @ (weighted @ y[..., None])[..., 0]
+    # Windows that the same folds leave out are summed at once: there are few such kinds, and many windows.
+    kinds, kind = np.unique(rest, axis=1, return_inverse=True)
+    parts = [(x[kind == i], weight[kind == i], y[kind == i]) for i in range(kinds.shape[1])]
+    flat = [(a.reshape(-1, count + 1), w.reshape(-1, 1), b.ravel()) for a, w, b in parts]
+    h = np.tensordot(kinds, np.array([a.T @ (w * a) for a, w, _ in flat]), 1)
+    g = kinds @ np.array([(w * a).T @ b for a, w, b in flat])
     # All folds and ridges at once: there are thousands of sets of regressors to try.
     pulled = h[:, None] + np.array(RIDGES)[:, None, None] * pull
     fitted = np.linalg.solve(pulled, g[:, None, :, None])[..., 0]
@@ -372,8 +375,7 @@ def _causal(
 
 def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the known numbers, with their prior, and of wrenches at the knots."""
-    stats = k.wrench(wrench)
-    h, g = stats.h.sum(0), stats.g.sum(0)
+    g, h = k.summed(wrench)
     n = k.width
     h[:n, :n] += np.diag(k.precision)
     g[:n] += k.precision * k.offset

@@ -44,10 +44,16 @@ from ._linearise import (
     Affine as Affine,
 )
 from ._linearise import (
+    Screening as Screening,
+)
+from ._linearise import (
     Statistics as Statistics,
 )
 from ._linearise import (
     linearise as linearise,
+)
+from ._linearise import (
+    screening as screening,
 )
 from ._noise import noise_of as noise_of
 from ._review import reviewed as reviewed

@@ -35,6 +35,7 @@ from ._rollout import (
     tracks_of,
     wrapped,
 )
+from ._windows import Windows
 
 # Windows that are linearised together.
 BATCH = 10
@@ -137,38 +138,57 @@ def _contract(by_constants, slopes, segment):
     return out
 
 
-def _drive_sensitivities(problem: Problem, drives: Drive, slopes: Drive):
-    """Derivatives of mean and instant thrust with respect to z: [logs, steps, thrusters, z].
+class _Driven(eqx.Module):
+    """Derivatives of the thrusters' thrust with respect to z, in two factors: all of them, for every sample
+    of a long log, are more than a memory holds.
 
-    And whether any is not zero.
-
-    A thruster's thrust depends on its own constants only, so one tangent per constant and segment
-    serves all thrusters; `slopes` are the constants' derivatives [segments, thrusters, z].
+    - `mean`, `instant`: of the thrust over a hold and at its sample with respect to each kind of constant of
+      that thruster in each segment; `slopes`: of those constants with respect to z.
+    - `touched`: whether any is not zero.
     """
-    leaves, structure = jax.tree.flatten(drives)
-    unit = np.eye(len(leaves))
 
-    def along(tangent):
-        return jax.jvp(lambda d: thrust_of(problem, d), (drives,), (tangent,))[1]
+    mean: Float[Array, "logs steps constants thrusters"]
+    instant: Float[Array, "logs steps constants thrusters"]
+    slopes: Float[Array, "constants thrusters z"]
+    touched: Bool[Array, ""]
 
-    def one(s, out):
-        """With what the constants of one segment add."""
-        here = (jnp.arange(leaves[0].shape[0]) == s).astype(leaves[0].dtype)
-        shape = (len(unit), *leaves[0].shape)
-        basis = [jnp.broadcast_to(jnp.outer(row, here)[..., None], shape) for row in unit]
-        values = jax.vmap(along)(jax.tree.unflatten(structure, basis))
-        slope = jnp.stack([leaf[s] for leaf in jax.tree.leaves(slopes)])
-        return tuple(
-            old + jnp.einsum("kgst,ktz->gstz", new, slope)
-            for old, new in zip(out, (values.mean, values.instant), strict=True)
-        )
+    @classmethod
+    def of(cls, problem: Problem, drives: Drive, slopes: Drive) -> "_Driven":
+        """For the drive constants of each segment, and their derivatives [segments, thrusters, z].
 
-    shape = (*problem.records.t.shape, *jax.tree.leaves(slopes)[0].shape[1:])
-    nothing = jnp.zeros(shape)
-    # Most causes are none of a thruster, and this is a third of a linearisation.
-    touched = jnp.stack([(leaf != 0).any() for leaf in jax.tree.leaves(slopes)]).any()
-    segments = jnp.where(touched, problem.records.segment.max() + 1, 0)
-    return *jax.lax.fori_loop(0, segments, one, (nothing, nothing)), touched
+        A thruster's thrust depends on its own constants only, so one tangent per kind and segment serves
+        all thrusters.
+        """
+        leaves, structure = jax.tree.flatten(drives)
+        kinds, (segments, thrusters) = len(leaves), leaves[0].shape
+        unit = np.eye(kinds)
+
+        def along(tangent):
+            return jax.jvp(lambda d: thrust_of(problem, d), (drives,), (tangent,))[1]
+
+        def one(s, out):
+            """With what the constants of one segment do."""
+            here = (jnp.arange(segments) == s).astype(leaves[0].dtype)
+            shape = (kinds, segments, thrusters)
+            basis = [jnp.broadcast_to(jnp.outer(row, here)[..., None], shape) for row in unit]
+            values = jax.vmap(along)(jax.tree.unflatten(structure, basis))
+            return tuple(
+                jax.lax.dynamic_update_slice_in_dim(old, jnp.moveaxis(new, 0, 2), s * kinds, axis=2)
+                for old, new in zip(out, (values.mean, values.instant), strict=True)
+            )
+
+        by_z = jnp.stack(jax.tree.leaves(slopes), axis=1).reshape(segments * kinds, thrusters, -1)
+        touched = (by_z != 0).any()
+        nothing = jnp.zeros((*problem.records.t.shape, segments * kinds, thrusters))
+        # Most causes are none of a thruster.
+        met = jnp.where(touched, problem.records.segment.max() + 1, 0)
+        return cls(*jax.lax.fori_loop(0, met, one, (nothing, nothing)), by_z, touched)
+
+    def at(self, windows: Windows, twice: bool) -> Float[Array, "points thrusters z"]:
+        """At every step of a window: of the mean thrust, and `twice` of that at the samples behind it."""
+        both = (self.mean, self.instant) if twice else (self.mean,)
+        here = jnp.concatenate([one[windows.log, windows.step] for one in both])
+        return jnp.einsum("pct,ctz->ptz", here, self.slopes)
 
 
 def _exponential(f: Array, split) -> tuple[Array, Array]:
@@ -199,16 +219,85 @@ def _chain(plant: Plant) -> _Chain:
     return _Chain(sensors, plant.memory_lag() if plant.has_memory else jnp.zeros(0))
 
 
-def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statistics:
+def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"]) -> Statistics:
     """Statistics of all windows at z = 0.
 
-    - `delta` [windows, 12]: changes of the windows' initial states (`State.moved`).
-    - `knots`: adds, behind z, a free wrench on the hull that is constant over each of so many equal parts
-      of a window: columns knot by knot, six axes each. Whatever acts on the hull is a sum of these.
+    - `delta`: changes of the windows' initial states (`State.moved`).
 
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
+    one, windows = _each(problem, affine, delta)
+    out = jax.lax.map(one, _filled(windows, len(delta)), batch_size=BATCH)
+    return jax.tree.map(lambda a: a[: len(delta)], out)
+
+
+class Screening(eqx.Module):
+    """Reduced statistics of windows for many parameters z and, behind them, a free wrench.
+
+    - `chi2`, `g`: of each window; `h`: information of z in each group of windows, as that of many parameters
+      in every window of a long log is more than a memory holds.
+    - `h_own`: of each window, for some combinations of z and the wrench.
+    """
+
+    chi2: Float[Array, " windows"]
+    g: Float[Array, "windows columns"]
+    h: Float[Array, "groups z z"]
+    h_own: Float[Array, "windows own own"]
+
+
+def screening(
+    problem: Problem,
+    affine: Affine,
+    delta: Float[Array, "windows 12"],
+    knots: int,
+    own: Float[Array, "columns own"],
+    group: Int[Array, " windows"],
+    groups: int,
+) -> Screening:
+    """Reduced statistics of all windows at z = 0.
+
+    - `knots`: of the free wrench on the hull, which is constant over each of so many equal parts of a window:
+      columns knot by knot, six axes each. Whatever acts on the hull is a sum of these.
+    - `own`: the combinations, of z and the wrench.
+    - `group`: of each window; windows of the group with the number `groups` are left out.
+    """
+    given = affine.acts.shape[-1]
+    one, windows = _each(problem, affine, delta, knots)
+    filled = _filled((windows, group), len(delta))
+    *batches, group = jax.tree.map(lambda a: a.reshape(-1, BATCH, *a.shape[1:]), filled)
+    group = jnp.where(jnp.arange(group.size).reshape(group.shape) < len(delta), group, groups)
+
+    def add(h, now):
+        """One window to its group. Row by row: a scatter would copy."""
+        stats, group = now
+        chi2, gradient, information = _eliminated(stats)
+        before = jax.lax.dynamic_index_in_dim(h, group, keepdims=False)
+        h = jax.lax.dynamic_update_index_in_dim(h, before + information[:given, :given], group, 0)
+        return h, (chi2, gradient, own.T @ information @ own)
+
+    def batch(h, now):
+        (windows,), group = now
+        return jax.lax.scan(add, h, (jax.vmap(one)(windows), group))
+
+    # A group more, for what is left out.
+    h, each = jax.lax.scan(batch, jnp.zeros((groups + 1, given, given)), (batches, group))
+    chi2, g, h_own = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: len(delta)], each)
+    return Screening(chi2, g, h, h_own)
+
+
+def _filled(windows, count: int):
+    """Filled up to whole batches by the last one, so that no shorter batch is compiled as well.
+
+    In batches the derivatives of some hundred steps stay in the processor's cache, and their memory does not
+    grow with the length of the logs.
+    """
+    more = -count % BATCH
+    return jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], more, axis=0)]), windows)
+
+
+def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
+    """A function that gives the statistics of one window, and its arguments for all windows."""
     theta, acts = affine.theta, affine.acts
     given = acts.shape[-1]
     count = given + 6 * knots
@@ -225,7 +314,7 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
-    d_mean, d_at, touched = _drive_sensitivities(problem, plants.drive, drive_slopes)
+    driven = _Driven.of(problem, plants.drive, drive_slopes)
     columns = Columns.of(affine.columns)
     lagged, d_lagged = fluid_memory(problem, plants)
     tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
@@ -248,13 +337,12 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
 
     def by_thrusters(by_thrust, windows):
         """What the balance has of z by the thrusters, at every step of a window, or twice at every step."""
-        sensitivities = (d_mean, d_at)[: len(by_thrust) // steps]
-
-        def pushed():
-            return by_thrust @ jnp.concatenate([d[windows.log, windows.step] for d in sensitivities])
-
         # Most causes are none of a thruster; the predicate is the same for all windows of a batch.
-        return jax.lax.cond(touched, pushed, lambda: jnp.zeros((*by_thrust.shape[:2], given)))
+        return jax.lax.cond(
+            driven.touched,
+            lambda: by_thrust @ driven.at(windows, len(by_thrust) > steps),
+            lambda: jnp.zeros((*by_thrust.shape[:2], given)),
+        )
 
     def tangents(windows, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
@@ -371,11 +459,4 @@ def linearise(problem: Problem, affine: Affine, delta, knots: int = 0) -> Statis
     # as long as many.
     states, after = jax.vmap(followed)(problem.windows, tracks, delta)
 
-    # In batches: the derivatives of some hundred steps stay in the processor's cache, and their memory
-    # does not grow with the length of the logs. Filled up, so that no shorter batch is compiled as well.
-    everything = (problem.windows, tracks, delta, states, after, d_lagged[log, step])
-    windows = len(delta)
-    fill = -windows % BATCH
-    filled = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], fill, axis=0)]), everything)
-    out = jax.lax.map(one, filled, batch_size=BATCH)
-    return jax.tree.map(lambda a: a[:windows], out)
+    return one, (problem.windows, tracks, delta, states, after, d_lagged[log, step])
