@@ -11,15 +11,39 @@ from scipy.spatial.transform import Rotation
 from experiments.blind.outside import play
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
-from jaxmarine.diagnosis._score import Reduced
+from jaxmarine.diagnosis._score import Reduced, blocks
 from jaxmarine.diagnosis._signals import Places, _played
-from jaxmarine.diagnosis._unknown import dependences, size_only
+from jaxmarine.diagnosis._unknown import RIDGES, _left_out, dependences, size_only
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
 SHAPE = (WINDOWS, KNOTS)
 # Standard deviation with which a window determines a knot [N].
 STD = 0.1
+
+
+@pytest.mark.parametrize("windows", [5, 40, 75])
+def test_regressions_on_left_out_windows_are_made_one_by_one(windows):
+    """Each window's response by least squares with rows of its own for the pull, without its fold."""
+    rng = np.random.default_rng(windows)
+    y, values = rng.normal(size=(windows, 3)), rng.normal(size=(windows, 3, 4))
+    weight = rng.uniform(0.5, 2.0, size=y.shape)
+    found = _left_out(y, weight, values)
+    each = np.broadcast_to(weight[..., None], values.shape)
+    centred = values - np.average(values, axis=(0, 1), weights=each)
+    x = centred / np.sqrt(np.average(centred**2, axis=(0, 1), weights=each))
+    x = np.concatenate([x, np.ones((*y.shape, 1))], axis=2)
+    fold = blocks(windows)
+    for w in range(windows):
+        mine = np.flatnonzero(fold == fold[w])
+        rest = [i for i in range(windows) if np.abs(mine - i).min() > 1]
+        root = np.sqrt(weight[rest].ravel())
+        for ridge, got in zip(RIDGES, found, strict=True):
+            pull = np.sqrt(ridge * weight.sum()) * np.eye(4, 5)
+            rows = np.concatenate([root[:, None] * x[rest].reshape(-1, 5), pull])
+            right = np.concatenate([root * y[rest].ravel(), np.zeros(4)])
+            expected = x[w] @ np.linalg.lstsq(rows, right)[0]
+            np.testing.assert_allclose(got[w], expected, atol=1e-9)
 
 
 def drift(rng: np.random.Generator, slow: float) -> np.ndarray:

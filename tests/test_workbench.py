@@ -11,7 +11,7 @@ import pytest
 
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
-from jaxmarine.diagnosis import _answer, diagnose
+from jaxmarine.diagnosis import _answer, _model, diagnose
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
@@ -41,6 +41,33 @@ def test_every_knot_of_a_slow_log_has_a_sample_of_its_own():
     bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
     assert bench.knots == bench.data.windows.step.shape[1] == 12
     assert (np.diff(bench.places.t, axis=1) == 1.0).all()
+
+
+@pytest.mark.parametrize("counts", [(75,), (600,), (601,), (9000,), (700, 3, 900), (2,) * 700])
+def test_groups_are_few_and_of_one_log(counts):
+    log = np.repeat(np.arange(len(counts)), counts)
+    group = _model._grouped(log)
+    assert set(np.diff(group)) <= {0, 1} and group[0] == 0
+    assert group[-1] < _model.GROUPS + len(counts)
+    if len(log) <= _model.GROUPS:
+        assert (group == np.arange(len(log))).all()
+    assert all(len(set(log[group == g])) == 1 for g in range(group[-1] + 1))
+
+
+def test_windows_screened_in_groups_say_the_same_together(monkeypatch):
+    log = record(boat(), steps())
+    each = workbench(boat(), (log,), CATALOGUE, None)
+    monkeypatch.setattr(_model, "GROUPS", 4)
+    few = workbench(boat(), (log,), CATALOGUE, None)
+    (one, two), starts = (bench.screen(bench.start()) for bench in (each, few)), few.group_windows
+    assert len(one.g) == each.count and len(two.g) == len(starts) <= 4
+    size = np.abs(one.h.sum(0)).max()
+    for now, until in zip(range(len(starts)), [*starts[1:], each.count], strict=True):
+        part = slice(starts[now], until)
+        assert two.chi2[now] == pytest.approx(one.chi2[part].sum())
+        assert np.allclose(two.g[now], one.g[part].sum(0), atol=1e-9 * size)
+        assert np.allclose(two.h[now], one.h[part].sum(0), atol=1e-9 * size)
+    assert few.group_starts.tolist() == each.data.starts[starts].tolist()
 
 
 def test_a_vehicle_that_runs_away_is_told_so():

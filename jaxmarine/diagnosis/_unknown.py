@@ -161,10 +161,13 @@ def _left_out(
     rest = np.array([np.convolve(fold == b, [1, 1, 1], "same") == 0 for b in range(len(names))], float)
     # Windows that the same folds leave out are summed at once: there are few such kinds, and many windows.
     kinds, kind = np.unique(rest, axis=1, return_inverse=True)
-    parts = [(x[kind == i], weight[kind == i], y[kind == i]) for i in range(kinds.shape[1])]
-    flat = [(a.reshape(-1, count + 1), w.reshape(-1, 1), b.ravel()) for a, w, b in parts]
-    h = np.tensordot(kinds, np.array([a.T @ (w * a) for a, w, _ in flat]), 1)
-    g = kinds @ np.array([(w * a).T @ b for a, w, b in flat])
+    own_h, own_g = [], []
+    for i in range(kinds.shape[1]):
+        part = x[kind == i].reshape(-1, count + 1)
+        weighted = part * weight[kind == i].reshape(-1, 1)
+        own_h.append(weighted.T @ part)
+        own_g.append(weighted.T @ y[kind == i].ravel())
+    h, g = np.tensordot(kinds, own_h, 1), kinds @ np.array(own_g)
     # All folds and ridges at once: there are thousands of sets of regressors to try.
     pulled = h[:, None] + np.array(RIDGES)[:, None, None] * pull
     fitted = np.linalg.solve(pulled, g[:, None, :, None])[..., 0]
