@@ -21,7 +21,7 @@ from jaxmarine.effects import (
     WrenchEffect,
 )
 from jaxmarine.examples import operator, recorded
-from jaxmarine.fitting import Affine, Problem, cut, start_precision
+from jaxmarine.fitting import Affine, Problem, cut, measured_channels, start_precision
 
 DT = 0.1  # [s]
 # Six entries each: 24 parameters, all zero where they change nothing.
@@ -104,5 +104,5 @@ def fitting(log: jm.Log, steps: int, families: Sequence[Any] | None = None) -> F
         theta, _ = jax.flatten_util.ravel_pytree(tuple(families))
     plant_of = SaturatedPlant(vehicle, tuple(families), jnp.ones((1, 0)))
     precision = jnp.asarray(start_precision(vehicle.free))
-    problem = Problem(plant_of, data.records, data.windows, precision, accelerations=False)
+    problem = Problem(plant_of, data.records, data.windows, precision, measured_channels(data.windows))
     return Fitting(vehicle, problem, theta, jnp.zeros((data.windows.count, 12)))

@@ -66,9 +66,8 @@ def saturate(
 ) -> tuple[tuple[AbstractEffect, ...], Layout]:
     """The catalogue's families at their neutral value, and the layout of their parameters."""
     families = tuple(cls.neutral(vehicle) for cls in catalogue)
-    sizes = [sum(np.size(leaf) for leaf in jax.tree.leaves(family)) for family in families]
-    offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    flat, _ = jax.flatten_util.ravel_pytree(families)
+    parts = [np.concatenate([np.zeros(0), *map(np.ravel, jax.tree.leaves(one))]) for one in families]
+    flat, offsets = np.concatenate(parts), np.cumsum([0, *map(len, parts)])[:-1]
     suspects, columns = [], []
     for cls, offset in zip(catalogue, offsets, strict=True):
         for suspect in cls.suspects(vehicle):
@@ -77,4 +76,4 @@ def saturate(
                 column[int(offset) + np.array(slots), j] = 1.0
             suspects.append(suspect)
             columns.append(column)
-    return families, Layout(np.asarray(flat), tuple(suspects), tuple(columns))
+    return families, Layout(flat, tuple(suspects), tuple(columns))

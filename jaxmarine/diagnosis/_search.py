@@ -1,7 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -169,7 +169,7 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
-        probed = [bench.refine(bench.with_member(model, Member(i), value), 1) for value in values]
+        probed = bench.refine_each([bench.with_member(model, Member(i), value) for value in values], 1)
         promised = [one.promised for one in probed]
         if 2 * (model.cost - min(promised)) > WORTHWHILE * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
@@ -180,28 +180,39 @@ def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
     """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
-    trials = []
+    members = [member for member, _ in starts]
+    begun = []
     for member, value in starts:
         value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
-        fitted = bench.refine(bench.with_member(model, member, value), FEW_STEPS, ROUGH)
-        trials.append(Trial(member, fitted, 2 * (model.cost - fitted.cost)))
-    trials = [t for t in trials if np.isfinite(t.saved)]
+        begun.append(bench.with_member(model, member, value))
+
+    def tried(members: Iterable[Member], models: Iterable[Model]) -> list[Trial]:
+        return [Trial(m, one, 2 * (model.cost - one.cost)) for m, one in zip(members, models, strict=True)]
+
+    trials = [t for t in tried(members, bench.refine_each(begun, FEW_STEPS, ROUGH)) if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
     leading = HOPEFUL * max([2 * (model.cost - t.model.promised) for t in trials], default=0.0)
     trials.sort(key=lambda t: t.model.promised)
-    left, anew = MORE, AFRESH
-    for i, trial in enumerate(trials):
+
+    def hoped(trial: Trial) -> float:
         more = trial.model.cost - trial.model.promised
-        if left and more > ROUGH * trial.model.cost and trial.saved + 2 * more > hopeful:
-            left -= 1
-            fitted = bench.refine(trial.model, STEPS, ROUGH)
-            stuck = 2 * (fitted.cost - fitted.promised) > hopeful or not bench.sound(fitted)
-            if anew and stuck and trial.saved + 2 * more > leading:
-                # The coefficients of the file had bent to what the suspect explains, and stand in its way.
-                anew -= 1
-                afresh = bench.refine(bench.as_filed(fitted), 2 * STEPS, ROUGH)
-                fitted = min(fitted, afresh, key=lambda m: (not bench.sound(m), m.cost))
-            trials[i] = Trial(trial.member, fitted, 2 * (model.cost - fitted.cost))
+        return trial.saved + 2 * more if more > ROUGH * trial.model.cost else -np.inf
+
+    going_on = [i for i, trial in enumerate(trials) if hoped(trial) > hopeful][:MORE]
+    fitted = dict(
+        zip(going_on, bench.refine_each([trials[i].model for i in going_on], STEPS, ROUGH), strict=True)
+    )
+
+    def stuck(one: Model) -> bool:
+        return 2 * (one.cost - one.promised) > hopeful or not bench.sound(one)
+
+    # The coefficients of the file had bent to what the suspect explains, and stand in its way.
+    anew = [i for i in going_on if hoped(trials[i]) > leading and stuck(fitted[i])][:AFRESH]
+    afresh = bench.refine_each([bench.as_filed(fitted[i]) for i in anew], 2 * STEPS, ROUGH)
+    for i, other in zip(anew, afresh, strict=True):
+        fitted[i] = min(fitted[i], other, key=lambda m: (not bench.sound(m), m.cost))
+    for i, one in fitted.items():
+        trials[i] = Trial(trials[i].member, one, 2 * (model.cost - one.cost))
     return [t for t in trials if bench.sound(t.model)]
 
 

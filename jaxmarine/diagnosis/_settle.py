@@ -80,13 +80,15 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
         log = bench.data.logs[member.since.log]
         step = bench.data.length / 2
         while step >= 0.9 * log.dt:
-            best = model
+            moved = []
             for shift in (-step, step):
                 time = float(np.clip(model.members[i].since.time + shift, log.t[0], log.t[-1]))  # pyright: ignore
                 time = float(log.t[np.argmin(np.abs(log.t - time))])
-                moved = dataclasses.replace(member, since=Beginning(member.since.log, time))
-                members = tuple(moved if j == i else m for j, m in enumerate(model.members))
-                trial = bench.refine(dataclasses.replace(model, members=members), max_steps=6)
+                other = dataclasses.replace(member, since=Beginning(member.since.log, time))
+                members = tuple(other if j == i else m for j, m in enumerate(model.members))
+                moved.append(dataclasses.replace(model, members=members))
+            best = model
+            for trial in bench.refine_each(moved, max_steps=6):
                 if trial.cost < best.cost - 1e-6:
                     best = trial
             if best is model:

@@ -182,7 +182,8 @@ class _Driven(eqx.Module):
         nothing = jnp.zeros((*problem.records.t.shape, segments * kinds, thrusters))
         # Most causes are none of a thruster.
         met = jnp.where(touched, problem.records.segment.max() + 1, 0)
-        return cls(*jax.lax.fori_loop(0, met, one, (nothing, nothing)), by_z, touched)
+        mean, instant = jax.lax.fori_loop(0, met, one, (nothing, nothing))
+        return cls(mean, instant, by_z, touched)
 
     def at(self, windows: Windows, twice: bool) -> Float[Array, "points thrusters z"]:
         """At every step of a window: of the mean thrust, and `twice` of that at the samples behind it."""
@@ -265,7 +266,7 @@ def screening(
     given = affine.acts.shape[-1]
     one, windows = _each(problem, affine, delta, knots)
     filled = _filled((windows, group), len(delta))
-    *batches, group = jax.tree.map(lambda a: a.reshape(-1, BATCH, *a.shape[1:]), filled)
+    *batches, group = jax.tree.map(lambda a: a.reshape(len(a) // BATCH, BATCH, *a.shape[1:]), filled)
     group = jnp.where(jnp.arange(group.size).reshape(group.shape) < len(delta), group, groups)
 
     def add(h, now):
@@ -282,7 +283,7 @@ def screening(
 
     # A group more, for what is left out.
     h, each = jax.lax.scan(batch, jnp.zeros((groups + 1, given, given)), (batches, group))
-    chi2, g, h_own = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[: len(delta)], each)
+    chi2, g, h_own = jax.tree.map(lambda a: a.reshape(a.shape[0] * BATCH, *a.shape[2:])[: len(delta)], each)
     return Screening(chi2, g, h, h_own)
 
 

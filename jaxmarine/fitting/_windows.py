@@ -86,22 +86,22 @@ class Room:
 
     def filled(self, records: Records, windows: Windows) -> tuple[Records, Windows]:
         """The arrays filled up with logs that no window looks at and windows that weigh nothing."""
+        # By numpy: jax would compile every operation for every shape.
+        records, windows = jax.tree.map(np.asarray, (records, windows))
         logs, steps = records.t.shape
-        after = records.t[:, -1:] + records.dt[:, -1:] * jnp.arange(1, self.steps - steps + 1)[None]
+        more = self.steps - steps
+        after = records.t[:, -1:] + records.dt[:, -1:] * np.arange(1, more + 1)
 
         def stretch(a):
             """More rows, and more steps, like the last ones."""
-            more = [(0, self.logs - logs), (0, self.steps - a.shape[1])] + [(0, 0)] * (a.ndim - 2)
-            return jnp.pad(a, more, mode="edge")
+            width = [(0, self.logs - logs), (0, self.steps - a.shape[1])] + [(0, 0)] * (a.ndim - 2)
+            return np.pad(a, width, mode="edge")
 
-        records = dataclasses.replace(records, t=jnp.concatenate([records.t, after], axis=1))
-        more = self.windows - windows.count
-        again = jax.tree.map(lambda a: jnp.repeat(a[-1:], more, axis=0), windows)
-        again = dataclasses.replace(again, weight=jnp.zeros_like(again.weight))
-        return (
-            jax.tree.map(stretch, records),
-            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), windows, again),
-        )
+        records = dataclasses.replace(records, t=np.concatenate([records.t, after], axis=1))
+        again = jax.tree.map(lambda a: np.repeat(a[-1:], self.windows - len(a), axis=0), windows)
+        again = dataclasses.replace(again, weight=np.zeros_like(again.weight))
+        longer = jax.tree.map(lambda a, b: np.concatenate([a, b]), windows, again)
+        return jax.tree.map(jnp.asarray, (jax.tree.map(stretch, records), longer))
 
 
 def _settled(vehicle: Vehicle, log: Log) -> int:
@@ -205,7 +205,7 @@ def cut(
         logs=tuple(logs),
         records=Records(**{name: jnp.asarray(np.array(value)) for name, value in records.items()}),
         windows=Windows(
-            attitude=jnp.stack([from_euler(jnp.asarray(a)) for a in attitude]),
+            attitude=jax.vmap(from_euler)(jnp.asarray(attitude)),
             **{name: jnp.asarray(np.array(value)) for name, value in parts.items()},
         ),
         starts=np.array(starts),
