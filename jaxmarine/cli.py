@@ -220,10 +220,13 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
             f"These logs cannot tell {' from '.join(group)}; for a manoeuvre that would, run\n"
             f"  jaxmarine plan --vehicle VEHICLE {causes}"
         )
-    gain, (low, high) = result.gain, result.gain.ratio_ci95
+    gain = result.gain
+    interval = "too short a log for an interval"
+    if gain.ratio_ci95 is not None:
+        interval = "95 %: {:.3f} to {:.3f}".format(*gain.ratio_ci95)
     _say(
         f"{gain.horizon:g} s prediction error on {result.test}: {gain.ratio:.3f} of what it was "
-        f"(95 %: {low:.3f} to {high:.3f}){'' if gain.held_out else ', not held out'}"
+        f"({interval}){'' if gain.held_out else ', not held out'}"
     )
     _say(f"Report: {page}")
 

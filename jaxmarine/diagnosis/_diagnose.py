@@ -117,9 +117,15 @@ def diagnose(
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
     changed = bool(model.members or terms or (dense and unknown))
     measured = measured_gain(bench, model, changed, terms, test)
-    if measured[0].ratio_ci95[0] > 1.0:
+    low, high = measured[0].ratio_ci95 or (0.0, np.inf)
+    if low > 1.0:
         notes.append(
             f"The extended vehicle predicts {test.name} worse than the file does; do not use it to predict."
+        )
+    elif changed and high >= 1.0:
+        notes.append(
+            f"{test.name} does not confirm this: it is not certain that the extended vehicle predicts it "
+            "better than the file does."
         )
     std = standard_errors(bench, now, dense)
     findings = findings_of(bench, now, rounds, std) + tuple(

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+from scipy.special import stdtrit
 
 from .._types import CHANNELS, POSITION, VELOCITY
 from ..effects import AbstractEffect
@@ -29,7 +31,7 @@ from ._saturated import SaturatedPlant
 
 HORIZON = 5.0  # [s]
 STARTS = 60  # predictions at most
-RESAMPLES = 1000
+MOST_STRETCHES = 10
 RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away
 
 
@@ -78,14 +80,15 @@ def predictions(
     log: Log,
     noise: np.ndarray,
     run_in: float,
-    split: int,
+    step: float,
     segment: np.ndarray,
     room: Room,
     slots: int,
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, int]:
     """Times, predicted channels of each candidate, measured channels, and where the prediction begins.
 
-    `room`, `slots`: those of the training, whose program estimates the starts where the log fits into it.
+    - `step`: the longest of the training's integration [s].
+    - `room`, `slots`: those of the training, whose program estimates the starts where the log fits into it.
 
     Each candidate estimates the state at a start by itself, from the `run_in` seconds before it; what
     lies after the start is not looked at.
@@ -99,6 +102,7 @@ def predictions(
     records, windows = room.filled(data.records, data.windows)
     channels = measured_channels(data.windows)
     begin = round(run_in / length * windows.step.shape[1])
+    split = jnp.asarray(math.ceil(data.hold / step - 0.01))
     names = ("step", "measured", "weight")
     seen = dataclasses.replace(windows, **{name: getattr(windows, name)[:, :begin] for name in names})
     precision = jnp.asarray(start_precision(vehicle.free))
@@ -108,12 +112,12 @@ def predictions(
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
         task = Task(
-            Problem(plant, records, seen, precision, channels, jnp.asarray(split)),
+            Problem(plant, records, seen, precision, channels, split),
             Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
             jnp.ones(slots),
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
-        problem = Problem(plant, records, windows, precision, channels, jnp.asarray(split))
+        problem = Problem(plant, records, windows, precision, channels, split)
         return np.asarray(predict(problem, theta, started.delta)[0])[: data.windows.count]
 
     turns = 2 * np.pi * np.arange(PHASES) / PHASES
@@ -165,6 +169,36 @@ def _rms(error: np.ndarray, names: tuple[str, ...]) -> float | None:
     return float(np.sqrt((np.nansum(squares, axis=(0, 1)) / np.maximum(seen, 1)).sum()))
 
 
+def _stretches(times: Float[np.ndarray, "starts steps"]) -> int:
+    """How many stretches of a log have little in common: none is shorter than a prediction with its run-in.
+
+    And no more than ten, so that those of a long log are longer than what disturbs it lasts.
+    """
+    return min(int((times[-1, -1] - times[0, 0]) / (times[0, -1] - times[0, 0])), MOST_STRETCHES)
+
+
+def _ratio(
+    before: Float[np.ndarray, " starts"], after: Float[np.ndarray, " starts"], stretches: int
+) -> tuple[float, tuple[float, float] | None]:
+    """Root of the ratio of two sums over starts, and its interval, None from less than two stretches.
+
+    Jackknife of its logarithm over stretches of neighbouring starts, with Student's quantile (Tukey 1958;
+    Künsch 1989 for stretches).
+    """
+
+    def log_ratio(kept: np.ndarray) -> float:
+        return 0.5 * float(np.log(after[kept].sum() / before[kept].sum()))
+
+    everything = np.arange(len(before))
+    whole = log_ratio(everything)
+    if stretches < 2:
+        return float(np.exp(whole)), None
+    left_out = np.array_split(everything, stretches)
+    without = np.array([log_ratio(np.setdiff1d(everything, part)) for part in left_out])
+    half = stdtrit(stretches - 1, 0.975) * np.sqrt((stretches - 1) ** 2 / stretches * without.var(ddof=1))
+    return float(np.exp(whole)), (float(np.exp(whole - half)), float(np.exp(whole + half)))
+
+
 def gain(
     times: np.ndarray,
     before: np.ndarray,
@@ -174,7 +208,7 @@ def gain(
     noise: np.ndarray,
     held_out: bool,
 ) -> tuple[Gain, Predictions]:
-    """The gain with a bootstrap interval over starts in blocks as long as a prediction with its run-in."""
+    """The gain with its interval, for which the starts are cut into stretches of time."""
     errors = [_missed(p[:, begin:], measured[:, begin:], noise) for p in (before, after)]
     scaled = [np.nansum((e / noise) ** 2, axis=(1, 2)) for e in errors]
 
@@ -182,27 +216,16 @@ def gain(
         values = [_rms(e, names) for e in errors]
         return None if values[0] is None or values[1] is None else BeforeAfter(values[0], values[1])
 
-    def ratio(index) -> float:
-        return float(np.sqrt(scaled[1][index].sum() / scaled[0][index].sum()))
-
-    starts = len(times)
-    rng = np.random.default_rng(0)
-    stride = float(np.median(np.diff(times[:, 0]))) if starts > 1 else HORIZON
-    block = max(1, min(math.ceil((times[0, -1] - times[0, 0]) / stride), starts // 3))
-    firsts = rng.integers(0, starts, (RESAMPLES, -(-starts // block)))
-    drawn = (firsts[:, :, None] + np.arange(block)) % starts
-    ratios = [ratio(index) for index in drawn.reshape(RESAMPLES, -1)]
-    low, high = np.quantile(ratios, [0.025, 0.975])
-    whole = ratio(np.arange(starts))
+    whole, interval = _ratio(scaled[0], scaled[1], _stretches(times))
     return (
         Gain(
             horizon=HORIZON,
             position=pair(POSITION),
             velocity=pair(VELOCITY),
             ratio=whole,
-            ratio_ci95=(float(low), float(high)),
+            ratio_ci95=interval,
             held_out=held_out,
-            starts=starts,
+            starts=len(times),
         ),
         Predictions(
             times,

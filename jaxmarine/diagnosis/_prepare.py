@@ -53,7 +53,6 @@ def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | 
     - `catalogue`, `window`: as `diagnose` takes them.
     """
     noise = noise_of(vehicle, logs)
-    split = substeps(vehicle, float(np.median([log.dt for log in logs])), _speeds(logs))
     data = cut(vehicle, logs, noise, _window(logs, window))
     if data.windows.count < FEWEST:
         names = ", ".join(log.name for log in logs)
@@ -62,7 +61,7 @@ def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | 
             "use a longer log or a shorter window."
         )
     families, layout = saturate(vehicle, catalogue)
-    bench = Workbench(vehicle, families, layout, data, noise, split)
+    bench = Workbench(vehicle, families, layout, data, noise, substeps(vehicle, data.hold, _speeds(logs)))
     room = SLOTS - len(bench.base)
     for suspect in layout.suspects:
         if len(suspect.slots) > room:

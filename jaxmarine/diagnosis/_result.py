@@ -79,15 +79,15 @@ class BeforeAfter:
 class Gain:
     """What the extension buys on the test log: open-loop predictions over `horizon` seconds.
 
-    `ratio` is that of the error over all measured channels, each in units of its noise. `held_out` is
-    False where the test log is also a training log.
+    `ratio` is that of the error over all measured channels, each in units of its noise; its interval is None
+    where the log is too short for one. `held_out` is False where the test log is also a training log.
     """
 
     horizon: float
     position: BeforeAfter | None  # [m]
     velocity: BeforeAfter | None  # [m/s]
     ratio: float
-    ratio_ci95: tuple[float, float]
+    ratio_ci95: tuple[float, float] | None
     held_out: bool
     starts: int  # number of predictions
 
@@ -224,7 +224,7 @@ class Diagnosis:
                 "position_rmse_m": pair(self.gain.position),
                 "velocity_rmse_m_s": pair(self.gain.velocity),
                 "ratio": self.gain.ratio,
-                "ratio_ci95": list(self.gain.ratio_ci95),
+                "ratio_ci95": self.gain.ratio_ci95 and list(self.gain.ratio_ci95),
                 "held_out": self.gain.held_out,
             },
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},

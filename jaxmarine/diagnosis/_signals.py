@@ -76,7 +76,8 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.thruster_names)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
     spans = np.cumsum([0.0, *[source.duration for source in data.logs]])[:-1]
-    signals["t"] = t + spans[log][:, None]
+    began = np.array([source.t[0] for source in data.logs])
+    signals["t"] = t + (began[0] + spans - began)[log][:, None]
     turns = jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
     return Places(
         t=t,

@@ -80,14 +80,12 @@ def measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence
         theta, phases = bench.theta(model, stretches), bench.phases(model.members)
         candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
     run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
-    # As fine as in the training, also where the test log has its samples further apart.
-    further = test.dt / min(log.dt for log in bench.data.logs)
     times, predicted, measured, begin = predictions(
         candidates,
         test,
         bench.noise,
         run_in,
-        max(bench.split, round(bench.split * further)),
+        bench.data.hold / bench.split,
         stretches.of_samples[0],
         bench.room,
         bench.slots(0),

@@ -68,10 +68,9 @@ def fit_trajectory(
     """
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
-    dt = float(np.median([log.dt for log in logs]))
-    split, steps = substeps(vehicle, dt), 0
     z, best = np.zeros(len(units.precision)), None
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
+    split, steps = substeps(vehicle, data.hold), 0
     while True:
         task = window_task(freed, units, data, acting, split, held)
         at, delta = jnp.asarray(z), jnp.zeros((data.windows.count, 12))
@@ -84,7 +83,7 @@ def fit_trajectory(
             # Finer steps from a point far off may fail where coarse ones had ended.
             return now if best is None else best
         # The fitted vehicle may be stiffer than its start.
-        needed = min(substeps(freed(jnp.asarray(now.raw)), dt), _FINEST * split)
+        needed = min(substeps(freed(jnp.asarray(now.raw)), data.hold), _FINEST * split)
         if needed <= split or best is not None:
             return now
         split, z, best = needed, now.z, now

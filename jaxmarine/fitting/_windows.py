@@ -60,6 +60,7 @@ class Cut:
     windows: Windows
     starts: np.ndarray  # time at which each window starts [s, its log's own time]
     length: float  # of a window [s]
+    hold: float  # the longest time from a sample of a window to the next [s]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,7 +140,7 @@ def cut(
     count = len(vehicle.command_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "attitude", "velocity", "segment")}
     parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
-    starts = []
+    starts, holds = [], []
     dt = float(np.median([log.dt for log in logs]))
     for log in logs:
         if not 0.8 < log.dt / dt < 1.25:
@@ -185,7 +186,8 @@ def cut(
         for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
             here = slice(first, first + size)
             begin, *_, end = t[here]
-            if np.diff(t[here]).max() > 5.5 * dt:
+            hold = float(np.diff(t[here]).max())
+            if hold > 5.5 * dt:
                 continue
             if any(one.start <= end and begin <= one.end for one in log.rejected):
                 continue
@@ -197,6 +199,7 @@ def cut(
             parts["attitude"].append(track.attitude[first])
             parts["velocity"].append(track.nu[first])
             starts.append(log.t[first])
+            holds.append(hold)
     if len(starts) < 2:
         names = ", ".join(log.name for log in logs)
         raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")
@@ -210,4 +213,6 @@ def cut(
         ),
         starts=np.array(starts),
         length=length,
+        # Stamps of an even log are rounded.
+        hold=max(holds) if max(holds) > 1.01 * dt else dt,
     )

@@ -161,15 +161,16 @@ def remainder(diagnosis: Diagnosis) -> str:
 def gain_words(diagnosis: Diagnosis) -> str:
     """What the extension buys, in one sentence."""
     gain = diagnosis.gain
-    low, high = gain.ratio_ci95
     if diagnosis.verdict == "nothing_found" and diagnosis.recalibrated:
         return "No cause was added, so there is no gain to state; refitted coefficients alone count as none."
     if diagnosis.verdict == "nothing_found":
         return "Nothing was added to the model, so its predictions stay what they were."
+    interval = "too short a log for an interval"
+    if gain.ratio_ci95 is not None:
+        interval = "95 % interval {} to {}".format(*map(percent, gain.ratio_ci95))
     return (
-        f"Predictions over {number(gain.horizon)} s now have {percent(gain.ratio)} of the error "
-        f"that they had (95 % interval {percent(low)} to {percent(high)}), over all measured "
-        "channels, each in units of its noise."
+        f"Predictions over {number(gain.horizon)} s now have {percent(gain.ratio)} of the error that they "
+        f"had ({interval}), over all measured channels, each in units of its noise."
     )
 
 

@@ -1,0 +1,114 @@
+"""The sums by which the search decides, against draws, dense least squares and numbers worked by hand."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmarine.diagnosis import _search
+from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
+from jaxmarine.diagnosis._score import Reduced, scatter, t_value
+
+WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6
+ALL = KNOWN + SUSPECTS
+PRIOR = 2.0
+MODEL = Model((), np.zeros(KNOWN), jnp.zeros((1, 12)), 0.0)
+
+
+class Bench(Workbench):
+    """Known numbers first, then a column of each suspect; `known_at`: the former's distance from the file."""
+
+    def __init__(self, known_at=(0.0,) * KNOWN):
+        self.known_at = np.asarray(known_at)
+        columns = [np.ones((1, 2))] * SUSPECTS
+        layout: Any = SimpleNamespace(suspects=range(SUSPECTS), columns=columns)
+        self.layout, self.group_windows, self.samples = layout, np.arange(100), 1000
+
+    def known(self, model):
+        return np.eye(ALL)[:, :KNOWN], np.full(KNOWN, PRIOR), self.known_at
+
+    def own(self, i):
+        return np.eye(ALL)[:, [KNOWN + i]]
+
+
+def reduced(jacobian: np.ndarray, residual: np.ndarray) -> Reduced:
+    return Reduced(
+        (residual**2).sum(1),
+        np.einsum("wri,wr->wi", jacobian, residual),
+        np.einsum("wri,wrj->wij", jacobian, jacobian),
+    )
+
+
+def test_scatter_is_the_variance_of_a_sum_and_knows_neighbours():
+    """Of a first-order process: closed form with the weights 3/4, 1/2, 1/4 of Newey and West."""
+    rng, rho, count = np.random.default_rng(0), 0.5, 200_000
+    white = rng.normal(size=(count, 1))
+    assert scatter(white) == pytest.approx(1.0, rel=0.02)
+    slow = white.copy()
+    for k in range(1, count):
+        slow[k] = rho * slow[k - 1] + np.sqrt(1 - rho**2) * white[k]
+    assert scatter(slow) == pytest.approx(1 + 2 * (0.75 * rho + 0.5 * rho**2 + 0.25 * rho**3), rel=0.02)
+    # Neighbours that pull apart do not make a sum surer.
+    assert scatter(np.array([[1.0], [-1.0]] * 50)) == pytest.approx(100 / 99)
+
+
+def test_t_value_is_the_mean_over_its_standard_error():
+    assert t_value(np.array([1.0, 2.0, 3.0, 4.0])) == pytest.approx(10 / (2 * np.sqrt(5 / 3)))
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_dispersion_is_how_much_larger_than_stated_the_noise_is(size):
+    rng = np.random.default_rng(1)
+    jacobian = rng.normal(size=(WINDOWS, ROWS, ALL))
+    stats = reduced(jacobian, size * rng.normal(size=(WINDOWS, ROWS)))
+    # The median of six variances, each of 400 windows and so known to 7 %, with neighbours to some more.
+    assert _search.dispersion(Bench(), MODEL, stats) == pytest.approx(size**2, rel=0.15)
+
+
+def test_dispersion_knows_that_a_disturbance_lasts():
+    """The same force in two windows in a row."""
+    rng = np.random.default_rng(2)
+    jacobian = np.tile(rng.normal(size=(1, ROWS, ALL)), (WINDOWS, 1, 1))
+    residual = np.repeat(rng.normal(size=(WINDOWS // 2, ROWS)), 2, axis=0)
+    # Every second pair of neighbours is alike: 1 + 2 * 3/4 * 1/2.
+    found = _search.dispersion(Bench(), MODEL, reduced(jacobian, residual))
+    assert found == pytest.approx(1.75, rel=0.15)
+
+
+def test_own_dispersion_is_that_of_the_axis_that_is_disturbed():
+    """One axis for each number; a disturbance along one that the median over suspects does not see."""
+    residual = np.random.default_rng(3).normal(size=(WINDOWS, ALL))
+    residual[:, KNOWN - 1] *= 4.0
+    stats = reduced(np.tile(np.eye(ALL), (WINDOWS, 1, 1)), residual)
+    phi = _search.dispersion(Bench(), MODEL, stats)
+    assert phi == pytest.approx(1.0, rel=0.15)
+    here = _search.own_dispersion(Bench(), MODEL, stats, slice(KNOWN - 1, KNOWN), phi)
+    assert here == pytest.approx(16.0, rel=0.15)
+    assert _search.own_dispersion(Bench(), MODEL, stats, slice(0, 1), phi) < 1.3
+
+
+def test_putting_back_costs_what_dense_least_squares_say():
+    """Three numbers under a prior at their best, and the same with the second one put back to the file."""
+    rng = np.random.default_rng(4)
+    jacobian, residual = rng.normal(size=(WINDOWS, ROWS, ALL)), rng.normal(size=(WINDOWS, ROWS))
+
+    def least(free: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.vstack([jacobian[..., free].reshape(-1, len(free)), np.sqrt(PRIOR) * np.eye(len(free))])
+        x = np.zeros(KNOWN)
+        x[free] = np.linalg.lstsq(rows, -np.concatenate([residual.ravel(), np.zeros(len(free))]))[0]
+        return x, residual + jacobian[..., :KNOWN] @ x
+
+    (best, at), (_, back) = least([0, 1, 2]), least([0, 2])
+    found = _search.putting_back(Bench(best), MODEL, reduced(jacobian, at), slice(1, 2))
+    assert np.allclose(found, (back**2).sum(1) - (at**2).sum(1), atol=1e-9)
+
+
+def test_what_a_finding_must_save():
+    """Two parameters, six suspects, 100 windows to begin in, 1000 samples: by hand."""
+    always, late = Member(0), Member(0, Beginning(0, 30.0))
+    assert _search.penalty(Bench(), always) == pytest.approx(2 * np.log(1000))
+    assert _search.penalty(Bench(), late) == pytest.approx(3 * np.log(1000))
+    assert _search.needed(Bench(), always, 2.0) == pytest.approx(2 * (4 + 2 * np.log(6) + 24))
+    assert _search.needed(Bench(), late, 2.0) == pytest.approx(2 * (4 + 2 * np.log(600) + 24))
