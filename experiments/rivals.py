@@ -253,11 +253,12 @@ def black_box(case: Case, rounds: int) -> Row:
     model = bench.refine(bench.start())
     k, names = knots(bench, model), case.vehicle.thruster_names
     signals = tuple(name for name in (*VELOCITY, *RATE, *names) if name in k.places.signals)
-    nothing = np.zeros((*k.places.t.shape, 0))
+    # It knows no shapes; none at all would stand for a dependence that is not to be learned.
+    shapeless = np.zeros((*k.places.t.shape, 1))
     terms = []
     # Axis by axis: all at once are more weights than the normal equations of a small machine hold.
     for axis in np.flatnonzero(case.vehicle.free):
-        (term,) = learn(k, (Dependence(int(axis), signals, (), 0.0, nothing, False),), names)
+        (term,) = learn(k, (Dependence(int(axis), signals, (), 0.0, shapeless, False),), names)
         terms.append(jm.Placed(term, term.target))
         k = _with_term(k, int(axis), term, signals)
     return said((), measured_gain(bench, model, True, terms, case.test)[0].ratio)

@@ -131,11 +131,11 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     pulled = inverse @ g_z
     # Of forces to the north and to the east at each knot.
     axes = np.swapaxes(k.places.rotation[here], 2, 3)[..., :2]
-    by_axis = k.stats.g[here, n:].reshape(-1, count, 6)[..., :3]
+    by_axis = k.stats.g[here, n:].reshape(len(t), count, 6)[..., :3]
     g = np.einsum("wkj,wkja->wka", by_axis, axes)
-    by_axis = k.stats.h[here, :n, n:].reshape(-1, n, count, 6)[..., :3]
+    by_axis = k.stats.h[here, :n, n:].reshape(len(t), n, count, 6)[..., :3]
     cross = np.einsum("wnkj,wkja->wnka", by_axis, axes)
-    by_axis = k.stats.h[here, n:, n:].reshape(-1, count, 6, count, 6)[:, :, :3, :, :3]
+    by_axis = k.stats.h[here, n:, n:].reshape(len(t), count, 6, count, 6)[:, :, :3, :, :3]
     own = np.einsum("wkilj,wkia,wljb->wkalb", by_axis, axes, axes, optimize=True)
     best = (-np.inf, {})
     for frequency in frequencies:

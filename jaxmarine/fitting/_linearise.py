@@ -177,7 +177,8 @@ class _Driven(eqx.Module):
                 for old, new in zip(out, (values.mean, values.instant), strict=True)
             )
 
-        by_z = jnp.stack(jax.tree.leaves(slopes), axis=1).reshape(segments * kinds, thrusters, -1)
+        by_segment = jnp.stack(jax.tree.leaves(slopes), axis=1)
+        by_z = by_segment.reshape(segments * kinds, *by_segment.shape[2:])
         touched = (by_z != 0).any()
         nothing = jnp.zeros((*problem.records.t.shape, segments * kinds, thrusters))
         # Most causes are none of a thruster.
