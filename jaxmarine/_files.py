@@ -31,7 +31,8 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
     try:
         if path.is_file():
             return path
-        found = "it is a folder" if path.is_dir() else "there is no such file"
+        folder = "it is a folder (that of a ROS 2 bag has a metadata.yaml)"
+        found = folder if path.is_dir() else "there is no such file"
     except (OSError, ValueError) as error:  # a name too long for the system, a null byte
         found = _reason(error)
     raise InputError(f"{path}: cannot be read, because {found}; check the path.")
@@ -141,7 +142,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
     if near:
         return f"did you mean `{near[0]}`?"
-    return f"known are {', '.join(known)}."
+    return f"known are {', '.join(known)}." if known else "there are none."
 
 
 def _problem(model: type[pydantic.BaseModel], problem: Any) -> str:

@@ -32,8 +32,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-_out = Console()
-_err = Console(stderr=True)
+# A thruster called `bow` is no picture.
+_out = Console(emoji=False)
+_err = Console(stderr=True, emoji=False)
 
 VehicleOption = Annotated[Path, typer.Option("--vehicle", help="Vehicle file (TOML).", show_default=False)]
 TrainOption = Annotated[
@@ -174,7 +175,7 @@ def _file(out: Path) -> None:
 
 def _say(text: str) -> None:
     """A line of results as it is: file names are no markup, and a pipe has no width to wrap at."""
-    _out.print(text, markup=False, highlight=False, soft_wrap=True)
+    _out.print(text, markup=False, highlight=False, emoji=False, soft_wrap=True)
 
 
 def _notes(*logs) -> tuple[str, ...]:
@@ -195,7 +196,7 @@ def _columns(path: Path | None):
 
 def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
-    from .reports import write_report
+    from .reports import plus_minus, write_report
     from .vehicle_io import save_vehicle
 
     _folder(out)
@@ -204,7 +205,7 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     _out.print(f"Verdict: [bold]{result.verdict.replace('_', ' ')}[/bold]")
     for finding in result.findings:
         values = ", ".join(
-            f"{name} = {p.value:.4g} ± {p.std:.2g}{'' if p.unit == '1' else ' ' + p.unit}"
+            f"{name} = {plus_minus(p.value, p.std, '' if p.unit == '1' else p.unit).replace('−', '-')}"
             for name, p in finding.parameters.items()
         )
         since = "" if finding.since is None else f" since t = {finding.since:g} s of {finding.since_log}"
@@ -350,7 +351,9 @@ def check(
 ) -> None:
     """Says how well logs excite each axis, which coefficients they determine, and what to log next."""
     _prepare()
+    from .diagnosis import disagreement
     from .fitting import check as run
+    from .fitting import noise_of
     from .vehicle_io import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -360,6 +363,9 @@ def check(
     with _progress("checking") as tell:
         result = _stoppable(lambda _: run(craft, recorded), tell)
     _say(str(result))
+    contradicted = disagreement(craft, recorded, noise_of(craft, recorded))
+    if contradicted is not None:
+        _say(contradicted)
 
 
 @app.command(

@@ -122,3 +122,19 @@ def test_sensors_that_agree_or_whose_error_was_found_are_not_blamed():
     assert apart(clean) is None
     assert apart(scaled) is not None
     assert apart(scaled, scale) is None
+
+
+def test_sensors_with_samples_of_their_own_between_the_rows_are_compared_as_well():
+    """A gyroscope at 50 Hz makes the rows; positions and velocities stand in every third or fourth."""
+    log = record(boat(), steps(3000, hold=100), dt=0.02)
+    sparse = log.channels.copy()
+    keep = np.arange(len(log.t))
+    sparse[keep % 3 > 0, :6] = np.nan
+    sparse[keep % 4 > 0, 6:9] = np.nan
+    log = dataclasses.replace(log, channels=sparse)
+    assert apart(log) is None
+    wrong = apart(changed(log, slice(7, 8), -log.channels[:, 7:8]))
+    assert wrong is not None and wrong.startswith("v contradict")
+    # Nothing is made up over half a second.
+    gap = changed(log, slice(0, 6), np.where((keep % 25 > 0)[:, None], np.nan, log.channels[:, :6]))
+    assert kinematics(boat(), (gap,)) is None

@@ -29,6 +29,7 @@ from jaxmarine.logs import (
     write_log,
 )
 from jaxmarine.vehicle_file import read_vehicle_file
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle
 
 PLANAR = types.SimpleNamespace(
     dof=("surge", "sway", "yaw"),
@@ -561,3 +562,18 @@ def test_boat_recordings_are_read_through_a_column_map(shared, tmp_path):
         log = read_log(path, PLANAR, columns)
         assert log.measured == ("x", "y", "psi", "u", "v", "r")
         assert "Columns that nothing knows are ignored: `cmd_age`." in log.notes
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("psi", np.linspace(0.0, 900.0, 60) % 360.0, "`psi` jumps by more than a turn: is it in degrees?"),
+        ("phi", np.full(60, 3.13), "`phi` is about 3.1 rad most of the time, as of a vehicle on its back"),
+    ],
+)
+def test_an_attitude_that_is_hardly_meant_is_told(tmp_path, name, values, said):
+    vehicle = load_vehicle(packaged_vehicle("tethra"))
+    t = 0.1 * np.arange(60)
+    table = {"t": t, **dict.fromkeys((*CHANNELS[:12], *vehicle.command_names), np.zeros(60)), name: values}
+    pd.DataFrame(table).to_csv(tmp_path / "log.csv", index=False)
+    assert any(said in note for note in read_log(tmp_path / "log.csv", vehicle).notes)

@@ -17,8 +17,8 @@ from ._judge import judged
 from ._kinematics import disagreement
 from ._knots import knots, missing_wrench
 from ._learn import learn
-from ._prepare import begun_with, moving, named_apart, rescaled, stuck, workbench
-from ._result import Diagnosis, Finding, Verdict
+from ._prepare import begun_with, moving, named_apart, rescaled, sharpened, stuck, workbench
+from ._result import FAR, Diagnosis, Finding, Verdict
 from ._search import search
 from ._settle import settled
 from ._unnamed import ALONE, WITH_UNKNOWN, Unnamed, left_over, with_unknown
@@ -74,6 +74,12 @@ def diagnose(
     base = bench.fitted(begun)
     rival = Unnamed(bench)
     found = search(bench, base, progress, rival.better)
+    sharper = sharpened(bench, found.model)
+    if sharper is not None:
+        progress("searching again, with sensors as exact as what was found leaves them")
+        bench = sharper
+        base, rival = bench.fitted(begun), Unnamed(bench)
+        found = search(bench, base, progress, rival.better)
     rounds = found.rounds
     if rival.better(found.model):
         now, unknown, dense = rival.judged, rival.dependences, False
@@ -154,6 +160,12 @@ def diagnose(
     apart = None if now.white else disagreement(extended, logs, bench.noise)
     if apart is not None:
         notes.append(apart)
+    misfit = float(now.stats.chi2.sum()) / bench.samples
+    if misfit > FAR**2:
+        notes.append(
+            f"What is left is {np.sqrt(misfit):.0f} times the sensor noise: check the axes, signs and units "
+            "of the logs, and the names of the thrusters, before anything else."
+        )
     named = any(f.effect != "unknown" for f in findings)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
@@ -173,13 +185,14 @@ def diagnose(
         rounds=tuple(weighed(bench, one) for one in rounds),
         groups=groups(findings),
         misfit_before=2 * start.cost / bench.samples,
-        misfit_after=float(now.stats.chi2.sum()) / bench.samples,
+        misfit_after=misfit,
         predictions=measured[1],
         missing_before=missing_wrench(knots(bench, start)),
         missing_after=missing_wrench(now.knots),
         check=bench.check(now.model),
         train=tuple(log.name for log in logs),
         test=test.name,
+        contradicted=apart,
         notes=tuple(dict.fromkeys(notes)),
         rejected=tuple(dict.fromkeys(one for log in (*logs, test) for one in log.rejected)),
     )

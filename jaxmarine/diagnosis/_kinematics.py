@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
-from .._types import CHANNELS
+from .._types import ATTITUDE, CHANNELS
 from ..effects import AbstractEffect, Readings, SensorEffect, Suspect, place
 from ..fitting import levenberg_marquardt
 from ..logs import Log, reachable
@@ -27,6 +27,8 @@ from ._score import t_value
 SPAN = 1.0
 # Stretches that must be there.
 FEWEST = 8
+# A channel with a sample every few rows is read between them where they are no further apart than this [s].
+BRIDGED = 0.3
 # Standard errors (over stretches) by which an explanation must help, and nats beyond its parameters.
 SIGMAS, MARGIN = 4.0, 10.0
 # The residual of some channel must fall below this part: what is smaller is left to the search.
@@ -63,7 +65,8 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     still = ~np.append(reachable(~locked), ~locked[3:])
     size = max(2, round(SPAN / float(np.median([log.dt for log in logs]))))
     for log in logs:
-        poses = np.where(still, 0.0, log.channels[:, :6])
+        channels = _bridged(log)
+        poses = np.where(still, 0.0, channels[:, :6])
         for first in range(0, len(log.t) - size, size):
             here = slice(first, first + size + 1)
             span = log.t[first + size] - log.t[first]
@@ -74,10 +77,27 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
             rate = (turns[0].inv() * turns[-1]).as_rotvec() / span
             rotations.append(turns.as_matrix())
             motions.append(np.concatenate([velocity, np.tile(rate, (size + 1, 1))], axis=1))
-            logged.append(np.where(locked, np.nan, log.channels[here, 6:12].mean(axis=0)))
+            logged.append(np.where(locked, np.nan, channels[here, 6:12].mean(axis=0)))
     if len(logged) < FEWEST:
         return None
     return Kinematics(np.array(rotations), np.array(motions), np.array(logged))
+
+
+def _bridged(log: Log) -> Float[np.ndarray, "times 18"]:
+    """The channels, also between samples of one that is measured less often than there are rows."""
+    out = np.array(log.channels)
+    for name, column in zip(CHANNELS, out.T, strict=True):
+        seen = np.flatnonzero(np.isfinite(column))
+        if name in ATTITUDE:
+            column[seen] = np.unwrap(column[seen])
+        rows = np.flatnonzero(np.isnan(column))
+        after = np.searchsorted(seen, rows)
+        inside = (after > 0) & (after < len(seen))
+        rows, after = rows[inside], after[inside]
+        near = log.t[seen[after]] - log.t[seen[after - 1]] <= BRIDGED
+        if near.any():
+            column[rows[near]] = np.interp(log.t[rows[near]], log.t[seen], column[seen])
+    return out
 
 
 def contradiction(
@@ -211,8 +231,10 @@ def _apart(
     if seen is None:
         return _Apart(np.zeros(6), np.zeros(6), 0.0)
     shown = np.asarray(_shown(seen, effects))
-    samples = SPAN / float(np.median([log.dt for log in logs]))
+    duration = sum(log.duration for log in logs)
+    measured = sum(np.isfinite(log.channels[:, 6:12]).sum(axis=0) for log in logs)
     # Of a mean over a stretch, and of the difference of its ends.
+    samples = np.maximum(measured * SPAN / duration, 1.0)
     expected = np.sqrt(noise[6:12] ** 2 / samples + 2 * (noise[:6] / SPAN) ** 2)
     known = np.isfinite(seen.logged) & np.isfinite(expected)
     error = np.where(known, seen.logged - shown, 0.0)

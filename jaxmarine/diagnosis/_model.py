@@ -419,7 +419,7 @@ class Workbench:
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
                 return False
             free = np.flatnonzero(self.vehicle.free)
-            ratio = (np.diag(mass) / np.diag(np.asarray(self.vehicle.mass_matrix)))[free]
+            ratio = np.diag(mass)[free] / np.diag(np.asarray(self.vehicle.mass_matrix))[free]
             if ratio.min() < 1 / 5 or ratio.max() > 5:
                 return False
             if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:

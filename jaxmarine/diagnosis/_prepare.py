@@ -24,6 +24,8 @@ SHORTEST = 1.0  # [s]
 FEWEST_SAMPLES = 12  # of a window
 SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
+# A noise that is estimated anew counts where it is so many times smaller.
+NEWS = 1.5
 
 
 def _window(logs: Sequence[Log], window: float | None) -> float:
@@ -154,11 +156,32 @@ def rescaled(bench: Workbench, begun: Model) -> Workbench:
     for model in (bench.frozen(begun), begun):
         missed = (bench.residual_rms(bench.refine(model)) * bench.noise)[free]
         bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
-    # Such residuals are alike from sample to sample: each weighs as little against the priors as their
-    # scores scatter.
-    model = bench.fitted(begun)
+    return _scattered(bench, free, bench.fitted(begun))
+
+
+def sharpened(bench: Workbench, model: Model) -> Workbench | None:
+    """The workbench with those noises lowered to the residual of what was found; None where that is no news.
+
+    The file's residual had in it what the model's members explain, beside which nothing small shows.
+    """
+    free = _unstated(bench)
+    if not free or not model.members:
+        return None
+    missed = (bench.residual_rms(model) * bench.noise)[free]
+    least = np.fmin(bench.noise[free], np.fmax(noise_of(bench.vehicle, bench.data.logs)[free], missed))
+    if (bench.noise[free] < NEWS * least).all():
+        return None
+    sharper = _weighted(bench, free, least)
+    return _scattered(sharper, free, sharper.refine(model))
+
+
+def _scattered(bench: Workbench, channels: list[int], model: Model) -> Workbench:
+    """The workbench with noises raised for residuals that are alike from sample to sample.
+
+    Each then weighs as little against the priors as their scores scatter.
+    """
     alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
-    return _weighted(bench, free, alike * bench.noise[free])
+    return _weighted(bench, channels, alike * bench.noise[channels])
 
 
 def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:

@@ -11,6 +11,8 @@ from ..fitting import Check
 from ..logs import Rejected
 from ..vehicle import Vehicle
 
+FAR = 10.0  # in units of the sensor noise: what a disturbance leaves, and a wrong axis or sign exceeds
+
 Verdict = Literal["nothing_found", "explained", "partly_explained", "unexplained"]
 
 
@@ -159,6 +161,7 @@ class Diagnosis:
     - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
+    - `contradicted`: a sentence where sensors contradict one another, whatever forces act.
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
     - `rejected`: stretches of the logs that were left out, with the reason.
     """
@@ -181,8 +184,14 @@ class Diagnosis:
     check: Check
     train: tuple[str, ...]
     test: str
+    contradicted: str | None = None
     notes: tuple[str, ...] = ()
     rejected: tuple[Rejected, ...] = ()
+
+    @property
+    def far(self) -> bool:
+        """Whether so much is left that log or file are rather wrong as a whole than disturbed."""
+        return self.misfit_after > FAR**2
 
     def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:
         """The causes of a group in words, as `jaxmarine plan --cause` takes them.

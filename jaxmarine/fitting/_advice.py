@@ -30,6 +30,8 @@ _SIDES = {
 _ONE_SIDED = 0.1
 # A fit that scatters this much more than by noise has something to explain first.
 _SCATTERED = 2.0
+# ... and so far that the log is hardly one of this vehicle: of faults that a diagnosis names, few come near.
+_FAR = 100.0
 
 
 class Axis(Protocol):
@@ -64,9 +66,10 @@ def advice(axes: Sequence[Axis], known: float) -> tuple[str, ...]:
     missed = [axis for axis in axes if axis.scatter > _SCATTERED]
     if missed:
         most = max(axis.scatter for axis in missed)
+        look = "diagnose the log first" if most < _FAR else "look at the axes, signs and units of both first"
         out.append(
             f"The vehicle file misses something in {', '.join(axis.dof for axis in missed)}: a fit would be "
-            f"off by up to {most:.2g} times these errors; diagnose the log first."
+            f"off by up to {most:.2g} times these errors; {look}."
         )
     return tuple(out)
 

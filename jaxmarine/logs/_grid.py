@@ -46,7 +46,8 @@ def in_order(
         t, values = t[seen], values[seen]
         if not len(t):
             raise InputError(
-                f"{path}: {label[name]} has no value; leave it out of the column map if it is not measured."
+                f"{path}: {label[name]} has no value in any message; check its place there (entries of an "
+                "array count from [0]), or leave it out of the column map if it is not measured."
             )
         stray = np.abs(t - scipy.ndimage.median_filter(t, _NEIGHBOURS, mode="nearest")) > _SWAPPED
         if stray.any():

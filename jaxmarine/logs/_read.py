@@ -23,6 +23,8 @@ _MIN_ROWS = 10
 # A column map's scale is rounded (0.0274 for 1 / 36.5), so that full thrust comes out as 1.0001:
 # commands beyond the limit by less than this share are set to the limit, with a note.
 _ROUNDING = 1e-3
+# A jump by which an angle in degrees is wrapped; in radians it would be more than a turn and a half.
+_DEGREES = 3 * np.pi
 
 
 def read_log(
@@ -132,9 +134,19 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
         turns = np.count_nonzero(np.abs(np.diff(values)) > np.pi)
         if turns:
             file.notes.append(f"Column {file.label(name)} is wrapped {turns} times; it counts modulo a turn.")
+        if np.abs(np.diff(values)).max(initial=0.0) > _DEGREES:
+            file.notes.append(f"Column {file.label(name)} jumps by more than a turn: is it in degrees?")
     for name in ATTITUDE[:2]:
-        if name in seen and np.nanmax(np.abs(channels[:, CHANNELS.index(name)])) > 2 * np.pi:
+        if name not in seen:
+            continue
+        size = np.abs(channels[:, CHANNELS.index(name)])
+        if np.nanmax(size) > 2 * np.pi:
             file.notes.append(f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?")
+        if np.nanmedian(size) > np.pi / 2:
+            file.notes.append(
+                f"Column {file.label(name)} is about {np.nanmedian(size):.2g} rad most of the time, as of a "
+                "vehicle on its back: is its frame right?"
+            )
 
 
 def _drive(file: MappedFile, vehicle: Craft) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -110,13 +110,23 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "nothing_found" and diagnosis.recalibrated:
         refitted = count(len(diagnosis.recalibrated), "refitted coefficient")
         return f"No single cause is to blame: the extended vehicle has {refitted} of the file."
+    if diagnosis.verdict == "nothing_found" and diagnosis.far:
+        return (
+            "The vehicle file does not explain these logs, and no cause was found. Check the axes, signs and "
+            "units of both; a strong disturbance would look like this too."
+        )
     if diagnosis.verdict == "nothing_found":
         return "Nothing is wrong that these logs could show: the vehicle file explains them."
     if diagnosis.verdict == "unexplained":
         return sentence(unknown)
-    if diagnosis.verdict == "explained" and len(named) == 1:
+    if diagnosis.verdict == "explained" and len(named) == 1 and not diagnosis.far:
         return what(_without_errors(named[0]), diagnosis.vehicle)
     causes = joined([title(finding.label) for finding in named])
+    if diagnosis.verdict == "explained" and diagnosis.far:
+        return (
+            f"What explains these logs best leaves much: {causes}. Check the axes, signs and units of logs "
+            "and file before you believe it."
+        )
     if diagnosis.verdict == "explained":
         return f"{len(named)} causes explain these logs: {causes}."
     verb = "explains" if len(named) == 1 else "explain"
@@ -135,7 +145,8 @@ def explanation(diagnosis: Diagnosis) -> str:
     text = f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
     if diagnosis.verdict != "nothing_found" or diagnosis.recalibrated:
         text += f", the extended vehicle by {after}"
-    return f"{text}. {remainder(diagnosis)}"
+    contradicted = f" {diagnosis.contradicted}" if diagnosis.contradicted else ""
+    return f"{text}. {remainder(diagnosis)}{contradicted}"
 
 
 def _times_noise(misfit: float) -> str:
