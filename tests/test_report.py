@@ -673,3 +673,31 @@ def test_typical_starts_lie_around_the_median_error():
     one.before[7] += 100.0
     starts = _curves.typical_starts(one)
     assert len(starts) == 3 and 7 not in starts and list(starts) == sorted(starts)
+
+
+def test_what_is_far_from_the_noise_is_no_clean_answer():
+    """Ten times the noise: a wrong axis or sign is likelier than what was named, or than nothing."""
+    far = {"misfit_after": 101.0, "white": False}
+    assert "leaves much" in _words.verdict(diagnosis(**far))
+    assert "leaves much" in _words.verdict(diagnosis(findings=(PORT,), **far))
+    nothing = diagnosis(verdict="nothing_found", findings=(), recalibrated=(), **far)
+    assert "no cause was found" in _words.verdict(nothing) and "signs" in _words.verdict(nothing)
+    assert "no cause was found" not in _words.verdict(dataclasses.replace(nothing, misfit_after=99.0))
+    contradicted = diagnosis(contradicted="r contradict what positions show.")
+    assert _words.explanation(contradicted).endswith("r contradict what positions show.")
+
+
+def test_a_gain_without_an_interval_says_why():
+    gain = dataclasses.replace(diagnosis().gain, ratio_ci95=None)
+    assert "too short a log for an interval" in _words.gain_words(diagnosis(gain=gain))
+    assert diagnosis(gain=gain).to_json()["gain"]["ratio_ci95"] is None
+
+
+def test_the_page_tells_the_noise_that_was_used():
+    text = Reader(_page.page(diagnosis())).text
+    assert "position 0.02 m (estimated), attitude 0.01 rad (estimated), velocity 0.005 m/s" in text
+    stated = dataclasses.replace(vehicle(), sensors=(("position", 0.02),))
+    assert (
+        "position 0.02 m (stated), attitude 0.01 rad (estimated)"
+        in Reader(_page.page(diagnosis(vehicle=stated))).text
+    )

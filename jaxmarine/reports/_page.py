@@ -1,6 +1,7 @@
 """The page: what the template shows, put together from words and figures."""
 
 import dataclasses
+import importlib.metadata
 import json
 import math
 from pathlib import Path
@@ -8,9 +9,10 @@ from typing import Any
 
 import jinja2
 import markupsafe
+import numpy as np
 from plotly.offline import get_plotlyjs
 
-from .._types import DOFS
+from .._types import CHANNEL_UNITS, CHANNELS, DOFS, SENSORS
 from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from ..fitting import AxisCheck, sparkline
 from ..fitting import percent as relative
@@ -276,6 +278,7 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ("Training logs", ", ".join(f"`{name}`" for name in diagnosis.train)),
         ("Test log", f"`{diagnosis.test}`"),
         ("Measured in the test log", channels or "nothing"),
+        ("Sensor noise", _noises(diagnosis) or "none is measured"),
         (
             "Predictions",
             f"{count(diagnosis.gain.starts, 'start')} on the test log, "
@@ -286,4 +289,19 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             f"{count(len(diagnosis.rounds), 'round')}, each of which scores every suspect and refits the "
             f"most promising: {count(sum(map(len, diagnosis.rounds)), 'refit')} in all",
         ),
+        ("Program", f"jaxmarine {importlib.metadata.version('jaxmarine')}"),
     ]
+
+
+def _noises(diagnosis: Diagnosis) -> str:
+    """The standard deviations that were used, of each kind of sensor: the median over its channels."""
+    noise = dict(zip(CHANNELS, diagnosis.predictions.noise, strict=True))
+    stated = dict(diagnosis.vehicle.sensors)
+    out = []
+    for sensor, names in SENSORS.items():
+        used = [noise[name] for name in names if np.isfinite(noise[name])]
+        if used:
+            whence = "stated" if sensor in stated else "estimated"
+            size = f"{number(float(np.median(used)), 2)} {CHANNEL_UNITS[names[0]]}"
+            out.append(f"{sensor.replace('_', ' ')} {size} ({whence})")
+    return ", ".join(out)
