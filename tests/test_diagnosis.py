@@ -34,7 +34,7 @@ CURRENT = Effect("steady_current", None, {"north": 0.05, "east": -0.03})
 LATE = Effect("thruster_gain", "star_v", {"factor": 0.7}, since=60.0)
 DELAY = Effect("input_delay", None, {"delay": 0.25})
 SCALE = Effect("velocity_scale", None, {"factor": 1.08})
-DRAG = Effect("quadratic_damping", "sway", {"value": 15.0})
+DRAG = Effect("quadratic_damping", "sway", {"value": 150.0})
 
 QUICK = {"weak thruster": ("tethra", WEAK)}
 SLOW = {

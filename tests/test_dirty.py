@@ -250,3 +250,5 @@ def test_a_delay_that_the_file_has_is_no_offset(good):
 def test_a_log_without_commands_that_change_has_no_offset(good):
     still = dataclasses.replace(good, commands=np.zeros_like(COMMANDS))
     assert offset_of(boat(), still) is None
+    resting = dataclasses.replace(good, channels=np.where(np.isfinite(good.channels), 0.0, np.nan))
+    assert offset_of(boat(), resting) is None

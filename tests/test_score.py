@@ -149,8 +149,9 @@ def test_a_wave_is_met_again_at_another_phase():
     log = record(rocked(2.0), steps(400))
     noise = noise_of(craft, [log])
     data = cut(craft, [log], noise, 4.0)
+    families = (ThrusterGain(jnp.ones(3)),)  # a program takes one parameter at least
     candidates = [
-        Candidate(vehicle, (), np.zeros((1, 0)), np.ones((1, len(vehicle.placed))))
+        Candidate(vehicle, families, np.ones((1, 3)), np.ones((1, len(vehicle.placed))))
         for vehicle in (rocked(2.0), rocked(-1.1), craft)
     ]
     room = Room.of(data.records, data.windows)

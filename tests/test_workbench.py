@@ -15,19 +15,37 @@ from jaxmarine.diagnosis import _answer, _model, diagnose
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
-from jaxmarine.diagnosis._model import Model, Workbench
-from jaxmarine.diagnosis._prepare import named_apart, workbench
+from jaxmarine.diagnosis._model import Member, Model, Workbench
+from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places
-from jaxmarine.effects import CATALOGUE, Saturation
+from jaxmarine.effects import CATALOGUE, Saturation, ThrusterGain
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Thrusters
-from tests.boats import boat, record, steps
+from tests.boats import NOISE, boat, record, steps
 
 NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
                        for f in dataclasses.fields(Thrusters)})  # fmt: skip
+
+
+def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found():
+    """A thruster at half its thrust, in a log of known noise that the file does not state."""
+    craft = boat(sensors={})
+    weak = craft.place(Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0]))))
+    bench = workbench(craft, (record(weak, steps(900)),), CATALOGUE, None)
+    begun = bench.start()
+    raised = rescaled(bench, begun)
+    assert raised.raised and sharpened(raised, raised.fitted(begun)) is None  # nothing found, no news
+    suspect = [one.label for one in bench.layout.suspects].index("thruster_gain:port")
+    found = raised.refine(raised.with_member(begun, Member(suspect), np.array([-0.1])))
+    assert found.z[-1] == pytest.approx(-0.5, abs=0.05)
+    sharper = sharpened(raised, found)
+    assert sharper is not None and not sharper.raised
+    true = np.repeat([NOISE[name] for name in ("position", "attitude", "velocity", "rate")], 3)
+    # Of 90 s, and of residuals that the fitted starts make some per cent smaller.
+    assert np.allclose((sharper.noise[:12] / true)[np.tile(craft.free, 2) > 0], 1.0, atol=0.2)
 
 
 def test_a_craft_without_thrusters_can_be_weighed():

@@ -34,5 +34,5 @@ def judged(bench: Workbench, model: Model) -> Judged:
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
     size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
-    white = bool(stats.chi2.sum() / bench.freedom < size and phi < SCATTER)
+    white = bool(stats.chi2.sum() / bench.freedom < size and phi < SCATTER and not bench.raised)
     return Judged(model, stats, phi, knots(bench, model), white)

@@ -56,6 +56,8 @@ MOST_DAMPING = 0.1
 # A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
 # some ten thousand samples has left, so that no parameter is a quarter of its standard error away.
 EXACT = 1e-6
+# A noise that was raised by this much says that more than it was left.
+RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
@@ -126,6 +128,7 @@ class Workbench:
 
     It holds no state of the search: a `Model` goes in, a `Model` comes out.
 
+    - `noise`: of each channel, NaN where it is not used; `own_noise`: that of its sensor alone.
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
     - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
     """
@@ -138,11 +141,13 @@ class Workbench:
         data: Cut,
         noise: Float[np.ndarray, "18"],
         split: int,
+        own_noise: Float[np.ndarray, "18"] | None = None,
     ):
         self.vehicle = vehicle
         self.layout = layout
         self.data = data
         self.noise = noise
+        self.own_noise = noise if own_noise is None else own_noise
         self.split = split
         self.families = families
         self.base = base_coefficients(vehicle, layout)
@@ -396,7 +401,12 @@ class Workbench:
         weight = np.asarray(windows.weight) * np.nan_to_num(self.noise / noise, nan=1.0)
         windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
         data = dataclasses.replace(self.data, windows=windows)
-        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split)
+        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split, self.own_noise)
+
+    @property
+    def raised(self) -> bool:
+        """Whether a channel counts for less than its sensor's own noise asks for: more than that is left."""
+        return bool(np.nanmax(self.noise / self.own_noise) > RAISED)
 
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.

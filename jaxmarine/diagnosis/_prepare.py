@@ -168,7 +168,7 @@ def sharpened(bench: Workbench, model: Model) -> Workbench | None:
     if not free or not model.members:
         return None
     missed = (bench.residual_rms(model) * bench.noise)[free]
-    least = np.fmin(bench.noise[free], np.fmax(noise_of(bench.vehicle, bench.data.logs)[free], missed))
+    least = np.fmin(bench.noise[free], np.fmax(bench.own_noise[free], missed))
     if (bench.noise[free] < NEWS * least).all():
         return None
     sharper = _weighted(bench, free, least)

@@ -245,7 +245,7 @@ def _reweighed(task: Task, refined: Refined, channels: np.ndarray) -> Task:
     windows = task.problem.windows
     residual = predict(task.problem, task.affine.theta, refined.delta)[1]
     factor = np.where(channels, at_residual(residual, windows.measured, windows.weight), 1.0)
-    return eqx.tree_at(lambda t: t.problem.windows.weight, task, windows.weight / factor)
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, windows.weight / factor[None, None])
 
 
 def coefficient_name(kind: str, dof: str) -> str:

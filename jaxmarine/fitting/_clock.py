@@ -48,6 +48,8 @@ def clock_offset(log: Log, track: StateTrack, drive: Driven) -> ClockOffset | No
     edges = np.arange(log.t[0] + _LARGEST, log.t[-1] - _LARGEST, _STRETCH)
     force = drive.commanded[:, np.ptp(drive.commanded, axis=0) > 0]
     free = np.ptp(track.nu, axis=0) > 0
+    if not free.any():
+        return None
     around = _integrals(log.t, _others(track, free), edges)
     if not force.shape[1] or len(around) < max(_BLOCKS, _FEWEST * (around.shape[1] + force.shape[1])):
         return None
