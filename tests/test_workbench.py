@@ -11,7 +11,7 @@ import pytest
 
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
-from jaxmarine.diagnosis import _answer, _model, diagnose
+from jaxmarine.diagnosis import Gain, _answer, _model, _worth, diagnose
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
@@ -46,6 +46,26 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     true = np.repeat([NOISE[name] for name in ("position", "attitude", "velocity", "rate")], 3)
     # Of 90 s, and of residuals that the fitted starts make some per cent smaller.
     assert np.allclose((sharper.noise[:12] / true)[np.tile(craft.free, 2) > 0], 1.0, atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "interval", "nothing"),
+    [
+        (0.97, (0.8, 1.2), True),
+        (1.1, (0.9, 1.4), True),
+        (1.1, None, True),
+        (0.9, (0.7, 1.1), False),  # it buys something, if not for certain
+        (0.97, (0.95, 0.99), False),  # little, but for certain
+        (1.4, (1.1, 1.8), False),  # absent from the test log, perhaps
+    ],
+)
+def test_names_that_leave_the_error_as_it_is_buy_nothing(monkeypatch, ratio, interval, nothing):
+    bench = object.__new__(Workbench)
+    log, model = record(boat(), steps(20)), Model((), np.zeros(0), jnp.zeros((1, 12)), 0.0)
+    for held_out in (True, False):
+        gain = Gain(5.0, None, None, ratio, interval, held_out, 60)
+        monkeypatch.setattr(_worth, "measured_gain", lambda *_, gain=gain: (gain, None))
+        assert _worth.buys_nothing(bench, model, log) == (nothing and held_out)
 
 
 def test_a_craft_without_thrusters_can_be_weighed():

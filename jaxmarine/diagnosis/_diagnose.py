@@ -22,7 +22,7 @@ from ._result import FAR, Diagnosis, Finding, Verdict
 from ._search import search
 from ._settle import settled
 from ._unnamed import ALONE, WITH_UNKNOWN, Unnamed, left_over, with_unknown
-from ._worth import LEAST, gain_at_home, measured_gain
+from ._worth import LEAST, buys_nothing, gain_at_home, measured_gain
 
 
 # Many small products of matrices: threads of the linear algebra would only wait for one another, on a
@@ -96,6 +96,9 @@ def diagnose(
         notes.append(
             "What was named at first predicts the training log worse than the file over 5 s; it was dropped."
         )
+    if now.model.members and not unknown and buys_nothing(bench, now.model, test):
+        now, unknown, dense, at_home = rival.judged, rival.dependences, False, 1.0
+        notes.append(f"What was named at first buys nothing on {test.name}; it was dropped.")
     model, start = now.model, rival.start
 
     extended = extended_by(bench, model, dense)
