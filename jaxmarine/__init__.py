@@ -3,7 +3,7 @@
     log file -> Log -> residual -> fit -> diagnose -> extend -> report
     vehicle file -> Vehicle -> simulate ^
 
-Double precision is needed: call `jax.config.update("jax_enable_x64", True)` first.
+Fits and diagnoses need double precision: call `jax.config.update("jax_enable_x64", True)` first.
 """
 
 import lazy_loader

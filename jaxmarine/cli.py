@@ -175,7 +175,7 @@ def _file(out: Path) -> None:
 
 def _say(text: str) -> None:
     """A line of results as it is: file names are no markup, and a pipe has no width to wrap at."""
-    _out.print(text, markup=False, highlight=False, emoji=False, soft_wrap=True)
+    _out.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _notes(*logs) -> tuple[str, ...]:
@@ -260,9 +260,9 @@ def simulate(
     recorded = read_log(log, craft, _columns(columns))
     _note(recorded)
     track = smooth_states(recorded, craft.dof)
-    with _progress("simulating"):
-        start = initial_state(craft, track.position[0], track.attitude[0], track.nu[0])
-        channels = np.asarray(run(craft, recorded, start).channels)
+    start = initial_state(craft, track.position[0], track.attitude[0], track.nu[0])
+    with _progress("simulating") as tell:
+        channels = _stoppable(lambda _: np.asarray(run(craft, recorded, start).channels), tell)
     if not np.isfinite(channels).all():
         raise InputError(
             f"{vehicle}: the simulation runs away on {log}; check the signs of damping and added mass."
@@ -430,7 +430,7 @@ def demo(
     _folder(out, make=False)
     craft = load_vehicle(packaged_vehicle("tethra"))
     with _progress("simulating Tethra") as tell:
-        train, test = hidden(craft, "thruster_gain", "port_h", {"factor": 0.72})
+        train, test = _stoppable(lambda _: hidden(craft, "thruster_gain", "port_h", {"factor": 0.72}), tell)
         tell(f"diagnosing; {_FIRST_TIME}")
         result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell)
     _folder(out)

@@ -116,6 +116,12 @@ def test_a_slow_log_is_too_coarse_to_tell_a_time_by():
     assert said is not None and "contradict" in said
 
 
+def test_a_coarse_sensor_of_which_less_noise_is_stated_is_no_contradiction():
+    """Positions in steps of 0.5 m, with a stated noise of 0.02 m."""
+    log = record(boat(), steps(600))
+    assert apart(changed(log, slice(0, 2), np.round(log.channels[:, 0:2] / 0.5) * 0.5)) is None
+
+
 def test_sensors_that_agree_or_whose_error_was_found_are_not_blamed():
     scale = VelocityScale(jnp.asarray(2.0))
     (clean,), (scaled,) = logs_of(), logs_of(scale)

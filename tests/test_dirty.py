@@ -10,12 +10,13 @@ import pytest
 
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis import diagnose
+from jaxmarine.effects import ThrusterGain
 from jaxmarine.fitting import check, cut, fit, noise_of, reviewed
 from jaxmarine.fitting._clock import ClockOffset, clock_offset
 from jaxmarine.fitting._driven import driven
 from jaxmarine.logs import Log, smooth_states
 from jaxmarine.simulation import initial_state, simulate
-from jaxmarine.vehicle import Vehicle
+from jaxmarine.vehicle import Damping, Placed, Vehicle
 from tests.boats import NOISE, boat, steps
 
 SAMPLES, DT = 1260, 0.1
@@ -147,6 +148,23 @@ def test_parameters_are_as_near_as_without_the_collision(monkeypatch):
     assert (np.abs(value - truth) > 6.0 * std).any()
 
 
+@pytest.mark.slow
+def test_a_cause_is_named_as_if_the_collision_were_not_there(monkeypatch):
+    """Half a thruster in a log that is struck; a diagnosis that takes the collision along is worse."""
+    weak = boat().place(Placed(ThrusterGain(jnp.array([1.0, 0.5, 1.0]))))
+    test = pieces(weak, steps(SAMPLES, seed=4), lambda k, nu: nu, seed=1)
+    log = pieces(weak, COMMANDS, struck)
+    found = diagnose(boat(), log, test)
+    (one,) = found.findings
+    factor = one.parameters["factor"]
+    assert one.label == "thruster_gain:starboard" and found.verdict == "explained" and found.white
+    assert abs(factor.value - 0.5) < 3.0 * factor.std
+    assert [accident.reason for accident in found.rejected] == ["collision"]
+    monkeypatch.setattr("jaxmarine.diagnosis._prepare.reviewed", lambda vehicle, logs: (logs, ()))
+    taken_along = diagnose(boat(), log, test)
+    assert not taken_along.white and not taken_along.rejected
+
+
 def test_a_take_over_is_named_and_one_that_does_not_end_is_an_effect(good):
     after, notes = review(boat(), taken(good, 600, 720))
     (one,) = after.rejected
@@ -184,6 +202,22 @@ def test_rough_water_is_no_dirt():
     assert all("nothing is left out" in note for note in notes)
 
 
+def test_damping_with_the_sign_of_a_derivative_is_told(good):
+    """X_u of the literature is negative; a hundredth of what brakes is no sign."""
+    whole, small = boat(), 0.01 * boat().mass_matrix[0, 0]
+
+    def with_surge(linear, quadratic):
+        damping = Damping(
+            whole.damping.linear.at[0, 0].set(linear), whole.damping.quadratic.at[0, 0].set(quadratic)
+        )
+        return review(dataclasses.replace(whole, damping=damping), good)[1]
+
+    (note,) = with_surge(-20.0, -30.0)
+    assert note.startswith("boat: its damping drives it in surge instead of braking it")
+    # Some craft brake at speed alone, some nearly not at all.
+    assert with_surge(-20.0, 30.0) == with_surge(0.0, 0.0) == with_surge(-small, 0.0) == ()
+
+
 class Reviewed(Exception):
     """Raised in place of a review, with the names of the logs."""
 
@@ -192,7 +226,7 @@ ACTS = {
     "fit": ("fitting._fit", lambda log: fit(boat(), log, lambda v: v.damping), ["log"]),
     "check": ("fitting._check", lambda log: check(boat(), log), ["log"]),
     "diagnose": (
-        "diagnosis._diagnose",
+        "diagnosis._prepare",
         lambda log: diagnose(
             boat(), log, dataclasses.replace(log, channels=log.channels + 1.0, name="other")
         ),

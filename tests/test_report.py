@@ -28,7 +28,7 @@ from jaxmarine.effects import CATALOGUE, Waves
 from jaxmarine.fitting import AxisCheck, Check
 from jaxmarine.fitting._coverage import AxisCoverage
 from jaxmarine.reports import _causes, _curves, _numbers, _page, _words, _write, write_report
-from jaxmarine.vehicle import Body, Damping, Placed, Thrusters, Vehicle
+from jaxmarine.vehicle import Body, Damping, Thrusters, Vehicle
 
 PLANAR = ("surge", "sway", "yaw")
 TRAIN = ("run1.csv", "run2.csv", "run3.csv")
@@ -203,6 +203,7 @@ def diagnosis(**changes) -> Diagnosis:
         "predictions": predictions(),
         "missing_before": missing(25.0),
         "missing_after": missing(0.0),
+        "catalogue": CATALOGUE,
         "check": checked(),
         "train": TRAIN,
         "test": "run4.csv",
@@ -635,8 +636,10 @@ def test_an_effect_of_the_users_own_is_told_by_its_name():
         name = "sail_force"
         advice = "reef the sail"
 
-    placed = (Placed(SailForce.neutral(vehicle())),)
-    assert _words.advice(own, placed) == "Reef the sail."
+    catalogue = (*CATALOGUE, SailForce)
+    assert _words.advice(own, catalogue) == "Reef the sail."
+    # Also one that was only weighed.
+    assert _words.values("sail_force", {"period": 2.0}, catalogue) == "period 2 s"
 
 
 def test_numbers_keep_the_digits_that_their_error_leaves():

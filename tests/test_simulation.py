@@ -35,7 +35,7 @@ from jaxmarine.logs import read_log, sensor_noise
 from jaxmarine.physics import rotation
 from jaxmarine.simulation import gates, hold, hold_many, initial_state, inputs, simulate, substeps
 from jaxmarine.vehicle import Input, Placed, State
-from jaxmarine.vehicle_io import load_vehicle
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle
 from tests.crafts import (
     SIMULATED,
     brick,
@@ -50,6 +50,22 @@ from tests.crafts import (
 )
 
 T = np.arange(0.0, 10.0, 0.1)
+
+
+def test_single_precision_rounds_and_no_more():
+    def track():
+        # Loaded anew: a vehicle has the precision that it was loaded in.
+        vehicle = load_vehicle(packaged_vehicle("tethra"))
+        log = log_of(vehicle, T, random_commands(vehicle, len(T), 20, 0))
+        return simulate(vehicle, log, coasting(vehicle)).channels
+
+    with jax.enable_x64(False):
+        single = track()
+    double = track()
+    assert single.dtype == np.float32 and double.dtype == np.float64
+    # A hundred roundings of up to ten to 2^-24 of it.
+    off = np.abs(unwrapped(np.asarray(single, float) - double))[:, :12].max()
+    assert 0.0 < off < 100 * 10 * 2.0**-24
 
 
 # --- solvers ----------------------------------------------------------------------------------

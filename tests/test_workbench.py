@@ -11,19 +11,22 @@ import pytest
 
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
-from jaxmarine.diagnosis import Gain, _answer, _model, _worth, diagnose
+from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
+from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
-from jaxmarine.diagnosis._model import Member, Model, Workbench
+from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
+from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places
+from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import CATALOGUE, Saturation, ThrusterGain
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate
-from jaxmarine.vehicle import Placed, Thrusters
+from jaxmarine.vehicle import Damping, Placed, Thrusters
 from tests.boats import NOISE, boat, record, steps
 
 NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
@@ -59,13 +62,30 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
         (1.4, (1.1, 1.8), False),  # absent from the test log, perhaps
     ],
 )
-def test_names_that_leave_the_error_as_it_is_buy_nothing(monkeypatch, ratio, interval, nothing):
-    bench = object.__new__(Workbench)
-    log, model = record(boat(), steps(20)), Model((), np.zeros(0), jnp.zeros((1, 12)), 0.0)
+def test_names_that_leave_the_error_as_it_is_buy_nothing(ratio, interval, nothing):
     for held_out in (True, False):
         gain = Gain(5.0, None, None, ratio, interval, held_out, 60)
-        monkeypatch.setattr(_worth, "measured_gain", lambda *_, gain=gain: (gain, None))
-        assert _worth.buys_nothing(bench, model, log) == (nothing and held_out)
+        assert buys_nothing(gain) == (nothing and held_out)
+
+
+@pytest.mark.parametrize(
+    ("linear", "quadratic", "width"), [(20.0, 30.0, (2.0, 3.0)), (0.0, 0.0, (0.02 * 55, 0.02 * 55))]
+)
+def test_damping_brakes_until_it_pushes_by_more_than_a_file_is_commonly_wrong(linear, quadratic, width):
+    """In surge: a tenth of each coefficient, of zero 2 % of mass and added mass; at the logs' speed."""
+    whole = boat()
+    damping = Damping(
+        whole.damping.linear.at[0, 0].set(linear), whole.damping.quadratic.at[0, 0].set(quadratic)
+    )
+    log = record(boat(), steps())
+    bench = workbench(dataclasses.replace(whole, damping=damping), (log,), CATALOGUE, None)
+    speed = float(np.sqrt((np.asarray(bench.data.windows.velocity)[:, 0] ** 2).mean()))
+    most = linear + width[0] + (quadratic + width[1]) * speed
+    which = next(j for j, c in enumerate(bench.base) if c.label == "linear_damping:surge")
+    for share, brakes in ((0.99, True), (1.01, False)):
+        model = bench.start()
+        model.z[which] = -share * most
+        assert bench.brakes(model) == brakes
 
 
 def test_a_craft_without_thrusters_can_be_weighed():
@@ -126,14 +146,12 @@ def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():
 
 
 def test_a_vehicle_that_runs_away_is_told_so():
-    """A damping with the sign of SNAME; against a run of the same vehicle, which must run away too."""
-    wrong = boat()
-    wrong = dataclasses.replace(
-        wrong, damping=dataclasses.replace(wrong.damping, quadratic=-5 * wrong.damping.quadratic)
-    )
-    log = record(boat(), steps())
-    bench: Any = workbench(wrong, (log,), CATALOGUE, None)
-    bench.refine = lambda model: dataclasses.replace(model, cost=np.inf)
+    """Damping with the sign of SNAME's derivatives, which pushes: no run of that vehicle stays finite."""
+    wrong, log = boat(), record(boat(), steps())
+    pushing = Damping(-wrong.damping.linear, -wrong.damping.quadratic)
+    wrong = dataclasses.replace(wrong, damping=pushing)
+    assert not np.isfinite(simulate(wrong, log, initial_state(wrong)).channels).all()
+    bench = workbench(wrong, (log,), (ThrusterGain,), None)  # one cause: quick to compile
     with pytest.raises(InputError, match="runs away on it; check the signs"):
         bench.fitted(bench.start())
 
@@ -186,6 +204,76 @@ def test_a_boat_that_cannot_sway_still_goes_east():
     # The mean motion over a stretch is its chord, shorter than the arc by a share of (0.2 rad)² / 24.
     mean = np.einsum("sij,sj->si", seen.rotation[:, 0], seen.nu[:, 0, :3])
     assert np.allclose(np.linalg.norm(mean, axis=1), 1.0, atol=0.002)
+
+
+def tabled() -> Workbench:
+    """A workbench that knows no log: the boat with a coupling and without linear damping of sway."""
+    craft = boat()
+    linear = craft.damping.linear.at[1, 1].set(0.0).at[1, 5].set(-7.0)
+    craft = dataclasses.replace(craft, damping=dataclasses.replace(craft.damping, linear=linear))
+    bench: Any = object.__new__(Workbench)
+    bench.vehicle, (_, bench.layout) = craft, saturate(craft)
+    bench.base = base_coefficients(craft, bench.layout)
+    return bench
+
+
+def test_coefficients_of_the_file_and_how_far_it_is_commonly_wrong():
+    """A tenth, of the total mass and of damping; where sway has no linear one, 2 % of 90 kg."""
+    found = {c.label: (c.value, c.prior) for c in tabled().base}
+    expected = {
+        "added_mass:surge": (5.0, 5.5),
+        "added_mass:sway": (40.0, 9.0),
+        "added_mass:yaw": (3.0, 1.1),
+        "linear_damping:surge": (20.0, 2.0),
+        "linear_damping:sway": (0.0, 1.8),
+        "linear_damping:yaw": (12.0, 1.2),
+        "quadratic_damping:surge": (30.0, 3.0),
+        "quadratic_damping:sway": (90.0, 9.0),
+        "quadratic_damping:yaw": (8.0, 0.8),
+        "coupled_damping:sway<-yaw": (-7.0, 0.7),
+    }
+    assert found == {label: pytest.approx(pair) for label, pair in expected.items()}
+    assert list(found)[-1] == "coupled_damping:sway<-yaw"
+
+
+def test_a_refiled_vehicle_has_each_coefficient_changed_and_nothing_else():
+    bench = tabled()
+    changes = np.arange(1.0, len(bench.base) + 1)
+    by = dict(zip([c.label for c in bench.base], changes, strict=True))
+    after, before = refiled(bench.vehicle, bench.base, changes), bench.vehicle
+    mass, linear, quadratic = (np.zeros((6, 6)) for _ in range(3))
+    for axis, i in (("surge", 0), ("sway", 1), ("yaw", 5)):
+        mass[i, i] = by[f"added_mass:{axis}"]
+        linear[i, i] = by[f"linear_damping:{axis}"]
+        quadratic[i, i] = by[f"quadratic_damping:{axis}"]
+    linear[1, 5] = by["coupled_damping:sway<-yaw"]
+    assert np.allclose(after.added_mass - before.added_mass, mass)
+    assert np.allclose(after.damping.linear - before.damping.linear, linear)
+    assert np.allclose(after.damping.quadratic - before.damping.quadratic, quadratic)
+    assert np.allclose(after.body.matrix, before.body.matrix)
+
+
+def test_a_coefficient_is_stood_for_by_what_changes_it_always_and_held_by_that_and_more():
+    bench = tabled()
+    suspect = {one.label: i for i, one in enumerate(bench.layout.suspects)}
+    nothing = Model((), np.zeros(len(bench.base)), jnp.zeros((1, 12)), 0.0)
+
+    def labels(which: np.ndarray) -> list[str]:
+        return [c.label for c, one in zip(bench.base, which, strict=True) if one]
+
+    model = bench.with_member(nothing, Member(suspect["linear_damping:yaw"]), np.zeros(1))
+    late = Member(suspect["quadratic_damping:yaw"], Beginning(0, 5.0))
+    model = bench.with_member(model, late, np.zeros(1))
+    model = bench.with_member(model, Member(suspect["thruster_gain:port"]), np.zeros(1))
+    assert labels(bench.stood_for(model)) == labels(bench.held(model)) == ["linear_damping:yaw"]
+    first = bench.base[0].label
+    assert labels(bench.held(dataclasses.replace(model, held=(0,)))) == [first, "linear_damping:yaw"]
+    assert labels(bench.stood_for(dataclasses.replace(model, held=(0,)))) == ["linear_damping:yaw"]
+    assert bench.held(bench.frozen(model)).all() and not bench.stood_for(bench.frozen(nothing)).any()
+    # What is held has a prior a million times as narrow; others one as wide as the file is commonly wrong.
+    _, precision, _ = bench.known(dataclasses.replace(model, weight=4.0))
+    priors = np.array([c.prior for c in bench.base])
+    assert np.allclose(precision[: len(priors)] * priors**2, np.where(bench.held(model), 1e12, 4.0))
 
 
 # --- sums ----------------------------------------------------------------------------------------

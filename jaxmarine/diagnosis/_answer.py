@@ -1,40 +1,32 @@
 """From the settled model to the answer: extended vehicle, findings, what could not be told apart."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, place
-from ..vehicle import Damping, Placed, Vehicle
+from ..effects import place
+from ..vehicle import Placed, Vehicle
 from ._couplings import couplings
+from ._filed import FILE_ERROR, refiled
 from ._judge import Judged
-from ._model import FILE_ERROR, Member, Model, Workbench
+from ._model import Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import lasting, solve
-from ._search import CLOSE, ROUGH, STEPS, Round, penalty, putting_back
+from ._search import CLOSE, ROUGH, STEPS, Round, evidence, putting_back
+
+# Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
+MOST_CLOSE, OTHERS = 2, 4
+# Standard errors by the scatter of some tens of windows are so much larger than true ones at times.
+BY_CHANCE = 1.4
 
 
 def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     """The vehicle with the members placed in it and, where `dense`, its coefficients recalibrated."""
     vehicle = bench.vehicle
     if dense:
-        added, linear, quadratic = np.zeros((3, 6, 6))
-        matrices = {
-            AddedMass: added,
-            LinearDamping: linear,
-            QuadraticDamping: quadratic,
-            CoupledDamping: linear,
-        }
-        for c, z in zip(bench.base, model.z, strict=False):
-            matrices[c.effect][c.place] = z
-        vehicle = dataclasses.replace(
-            vehicle,
-            added_mass=vehicle.added_mass + added,
-            damping=Damping(vehicle.damping.linear + linear, vehicle.damping.quadratic + quadratic),
-        )
+        vehicle = refiled(vehicle, bench.base, model.z[: len(bench.base)])
     placed = []
     for member, where in zip(model.members, bench.slices(model.members), strict=True):
         suspect = bench.layout.suspects[member.suspect]
@@ -66,15 +58,15 @@ def spread(
 ) -> Float[np.ndarray, "z z"]:
     """Covariance of z, by what noise makes of the windows and by what the file is off.
 
-    - Noise as stated, or the windows' own scatter: where that is larger by half, and wherever more is left
-      than sensor noise (not `white`).
+    - Noise as stated, or the windows' own scatter: where that is larger than by chance, and wherever more is
+      left than sensor noise (not `white`).
     - The file's coefficients are pulled back to what is filed: z ends short by that pull times what the file
       is `off` by, zero where nothing is pulled. However heavy the prior is, it makes nothing better known.
     """
     inverse = solve(h + np.diag(precision), np.eye(len(h)))
     by_noise = inverse @ h @ inverse
     ratio = np.sqrt(len(g) * lasting(g @ inverse) / np.maximum(np.diag(by_noise), 1e-300))
-    factor = np.where(white & (ratio < 1.4), 1.0, np.maximum(ratio, 1.0))
+    factor = np.where(white & (ratio < BY_CHANCE), 1.0, np.maximum(ratio, 1.0))
     pull = inverse * (precision * off)
     return by_noise * np.outer(factor, factor) + pull @ pull.T
 
@@ -98,12 +90,11 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     they were recalibrated (`dense`). z is off by `shift` times what they are off by, of which prior and logs
     say a mean and a covariance.
     """
-    members, count = now.model.members, len(bench.base)
+    count = len(bench.base)
     share = wrong_by(bench, now.model)
-    named = {m.suspect for m in members}
     g, h = now.knots.summed(couplings(bench.vehicle, now.knots.places))
     width = now.knots.width
-    filed = [] if dense else [j for j, c in enumerate(bench.base) if c.suspect not in named]
+    filed = [] if dense else np.flatnonzero(~bench.stood_for(now.model))
     estimated = np.arange(0 if dense else count, width)
     doubted = np.array([*filed, *range(width, len(h))], dtype=int)
     size = share * np.array([*(bench.base[j].prior / FILE_ERROR for j in filed), *np.ones(len(h) - width)])
@@ -150,7 +141,7 @@ def findings_of(
         if not np.isfinite(saved):
             # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
             saved = float(putting_back(bench, model, now.stats, where).sum())
-        evidence = 0.5 * (saved / phi - penalty(bench, member))
+        own = evidence(bench, member, saved, phi)
         since = member.since
         out.append(
             Finding(
@@ -159,17 +150,20 @@ def findings_of(
                 since=None if since is None else since.time,
                 since_log=None if since is None else bench.data.logs[since.log].name,
                 parameters=parameters,
-                log_evidence=float(evidence),
-                alternatives=alternatives(bench, member, named, phi, rounds, float(evidence)),
+                log_evidence=own,
+                alternatives=alternatives(bench, member, named, phi, rounds, own),
             )
         )
     return tuple(out)
 
 
 def alternatives(
-    bench: Workbench, member: Member, named: set[int], phi: float, rounds: Sequence[Round], evidence: float
+    bench: Workbench, member: Member, named: set[int], phi: float, rounds: Sequence[Round], beside: float
 ) -> tuple[Alternative, ...]:
-    """What else was weighed in the round in which the member was taken, less what is named itself."""
+    """What else was weighed in the round in which the member was taken, less what is named itself.
+
+    - `beside`: the member's evidence beside all others; those of the round are shifted to it.
+    """
     pairs = [
         (r.trials, t) for r in rounds if r.accepted for t in r.trials if t.member.suspect == member.suspect
     ]
@@ -177,19 +171,19 @@ def alternatives(
         return ()
     # The round that it won, if it did not join in the place of that round's winner.
     trials, own = next((pair for pair in pairs if pair[0][0] is pair[1]), pairs[0])
+    won = evidence(bench, own.member, own.saved, phi)
     out, said = [], set(named)
     for trial in trials:
         suspect = bench.layout.suspects[trial.member.suspect]
         if trial.member.suspect in said:
             continue
         said.add(trial.member.suspect)
-        behind = 0.5 * (
-            (own.saved - trial.saved) / phi + penalty(bench, trial.member) - penalty(bench, own.member)
-        )
-        close = 2 * behind < CLOSE
-        out.append(Alternative(suspect.effect.name, suspect.target, evidence - float(behind), bool(close)))
-    close = [a for a in out if a.indistinguishable][:2]
-    return tuple(close + [a for a in out if a not in close and not a.indistinguishable][:4])
+        behind = won - evidence(bench, trial.member, trial.saved, phi)
+        # No more than some are said to be as good as the finding: a list of all would say nothing.
+        close = 2 * behind < CLOSE and sum(a.indistinguishable for a in out) < MOST_CLOSE
+        out.append(Alternative(suspect.effect.name, suspect.target, beside - behind, close))
+    out.sort(key=lambda a: not a.indistinguishable)
+    return tuple(out[: MOST_CLOSE + OTHERS])
 
 
 def groups(findings: Sequence[Finding]) -> tuple[tuple[str, ...], ...]:
@@ -210,7 +204,7 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
         out.append(
             Weighed(
                 label=bench.layout.suspects[trial.member.suspect].label,
-                log_evidence=float(0.5 * (trial.saved / one.phi - penalty(bench, trial.member))),
+                log_evidence=evidence(bench, trial.member, trial.saved, one.phi),
                 saved_chi2=float(trial.saved),
                 parameters=trial.parameters(bench),
                 since=None if since is None else since.time,
@@ -221,9 +215,9 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
 
 def recalibrated(bench: Workbench, now: Judged, std: Float[np.ndarray, " z"]) -> tuple[Recalibrated, ...]:
     """The file's coefficients that no member stands for, with what they were refitted to."""
-    taken = {m.suspect for m in now.model.members}
+    taken = bench.stood_for(now.model)
     return tuple(
         Recalibrated(c.label, c.value, c.value + float(z), float(s), c.unit)
-        for c, z, s in zip(bench.base, now.model.z, std, strict=False)
-        if c.suspect not in taken
+        for c, z, s, stood_for in zip(bench.base, now.model.z, std, taken, strict=False)
+        if not stood_for
     )

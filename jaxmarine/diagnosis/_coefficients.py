@@ -7,7 +7,20 @@ import numpy as np
 
 from ._model import Member, Model, Workbench
 from ._score import solve, t_value
-from ._search import CHANCES, NEARLY, SIGMAS, Round, Trial, needed, penalty, putting_back, weigh
+from ._search import (
+    CHANCES,
+    NEARLY,
+    SIGMAS,
+    Round,
+    Trial,
+    evidence,
+    needed,
+    penalty,
+    putting_back,
+    replaces,
+    trial_of,
+    weigh,
+)
 
 # More coefficients than this being off means a file that is a little wrong everywhere.
 FEW = 2
@@ -35,8 +48,7 @@ def _needed_changes(bench: Workbench, model: Model, phi: float) -> list[int]:
             return 0.0
         return float(-g[free] @ solve(h[np.ix_(free, free)], g[free]))
 
-    active = {m.suspect for m in model.members if m.since is None}
-    open_ = [j for j, c in enumerate(bench.base) if c.suspect not in active]
+    open_ = np.flatnonzero(~bench.stood_for(model)).tolist()
     while open_:
         now = least([*members, *chosen])
         gains = {j: now - least([*members, *chosen, j]) for j in open_}
@@ -134,20 +146,19 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
     bent = dataclasses.replace(bench.without_member(model, which), frozen=False, held=held)
     less = bench.refine(bent)
     same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
-    own = Trial(member, same, 2 * (less.cost - same.cost))
+    own = trial_of(less, member, same)
     trials = [own]
     for trial in weigh(bench, less, bench.screen(less)):
         if trial.member.suspect != member.suspect:
             near = trial.saved > NEARLY * own.saved
             exact = bench.refine(trial.model) if near else trial.model
-            trials.append(Trial(trial.member, exact, 2 * (less.cost - exact.cost)))
-    trials.sort(key=lambda t: penalty(bench, t.member) - t.saved / phi)
+            trials.append(trial_of(less, trial.member, exact))
+    trials.sort(key=lambda t: -evidence(bench, t.member, t.saved, phi))
     best = next(t for t in trials if t is own or bench.stands(t.model, less))
     if best is not own:
         instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
         instead.z[: len(bench.base)] = 0.0
         instead = bench.refine(instead)
-        price = penalty(bench, best.member) - penalty(bench, member)
-        if bench.stands(instead, model) and 2 * (instead.cost - model.cost) / phi + price < 0:
+        if replaces(bench, instead, best.member, model, member, phi):
             return instead, (best, *(t for t in trials if t is not best))
     return model, (own, *(t for t in trials if t is not own))

@@ -29,7 +29,9 @@ from ..vehicle import Vehicle
 from ._result import BeforeAfter, Gain, Predictions
 from ._saturated import SaturatedPlant
 
-HORIZON = 5.0  # [s]
+# Of a prediction, and at least: of the run-in before it, and of the stretch over which starts lie [s].
+HORIZON, RUN_IN, OF_STARTS = 5.0, 2.0, 2.0
+LEAST = HORIZON + RUN_IN + OF_STARTS  # [s] of a log on which a gain is measured
 STARTS = 60  # predictions at most
 MOST_STRETCHES = 10
 RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away

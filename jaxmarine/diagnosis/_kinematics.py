@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from .._types import ATTITUDE, CHANNELS
 from ..effects import AbstractEffect, Readings, SensorEffect, Suspect, place
 from ..fitting import levenberg_marquardt
-from ..logs import Log, reachable
+from ..logs import Log, reachable, resolution
 from ..vehicle import Vehicle
 from ._score import t_value
 
@@ -151,6 +151,9 @@ def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray,
       it was not measured.
     """
     effects = [p.effect for p in vehicle.placed if isinstance(p.effect, SensorEffect) and p.since is None]
+    # A file may state less than the steps that a coarse sensor's samples come in.
+    columns = np.concatenate([log.channels for log in logs]).T
+    noise = np.maximum(noise, [resolution(column[np.isfinite(column)]) for column in columns])
 
     def apart(logs: Sequence[Log]) -> _Apart:
         return _apart(kinematics(vehicle, logs), effects, logs, noise)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, Suspect
+from ..effects import AbstractEffect, AddedMass, QuadraticDamping
 from ..fitting import (
     LEAST_DAMPING,
     Affine,
@@ -37,6 +37,7 @@ from ..fitting import (
 )
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
+from ._filed import base_coefficients
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
 from ._signals import Places, places
@@ -61,14 +62,6 @@ RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
-# How far coefficients of a vehicle file are commonly wrong, relative to their value.
-FILE_ERROR = 0.1
-# The file's coefficients by the effects that change them.
-_KINDS: dict[type[AbstractEffect], str] = {
-    AddedMass: "added_mass",
-    LinearDamping: "damping.linear",
-    QuadraticDamping: "damping.quadratic",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,16 +222,29 @@ class Workbench:
         """Which training log a test log is, if it is one."""
         return next((i for i, log in enumerate(self.data.logs) if same_log(log, test)), None)
 
-    def _stretches(
+    def have_room(self, members: Sequence[Member]) -> bool:
+        """Whether the programs have a stretch for each of those between the members' beginnings."""
+        logs = self.data.logs
+        codes = self._codes(members, logs, range(len(logs)), self._own)
+        return len(np.unique(np.concatenate(codes))) <= SEGMENTS
+
+    def _codes(
         self, members: Sequence[Member], logs: Sequence[Log], positions: Sequence[int], own: Segments
-    ) -> Stretches:
-        """`positions`: the logs' places in the order of recording."""
+    ) -> list[np.ndarray]:
+        """Per log and sample a number for what acts there; `positions`: as of `_stretches`."""
         codes = []
         for log, position, acting in zip(logs, positions, own.of_samples, strict=True):
             passed = np.zeros(len(log.t), int)
             for b in self.beginnings(members):
                 passed += (position > b.log) | ((position == b.log) & (log.t >= b.time - 1e-9))
             codes.append(passed * len(own.gates) + acting)
+        return codes
+
+    def _stretches(
+        self, members: Sequence[Member], logs: Sequence[Log], positions: Sequence[int], own: Segments
+    ) -> Stretches:
+        """`positions`: the logs' places in the order of recording."""
+        codes = self._codes(members, logs, positions, own)
         met, index = np.unique(np.concatenate(codes), return_inverse=True)
         if len(met) > SEGMENTS:
             raise InputError(
@@ -298,12 +304,16 @@ class Workbench:
             (jnp.asarray(np.array(rows)), jnp.asarray(filled(stretches.gates))),
         )
 
-    def held(self, model: Model) -> Bool[np.ndarray, " base"]:
-        """Which coefficients of the file may not bend; a member that always acts stands for its own."""
+    def stood_for(self, model: Model) -> Bool[np.ndarray, " base"]:
+        """Which coefficients of the file a member stands for: one that changes them and always acts."""
         taken = {m.suspect for m in model.members if m.since is None}
-        return np.array(
-            [model.frozen or j in model.held or c.suspect in taken for j, c in enumerate(self.base)], bool
-        )
+        return np.array([c.suspect in taken for c in self.base], bool)
+
+    def held(self, model: Model) -> Bool[np.ndarray, " base"]:
+        """Which coefficients of the file may not bend."""
+        out = self.stood_for(model) | model.frozen
+        out[list(model.held)] = True
+        return out
 
     def _precision(self, model: Model) -> np.ndarray:
         """Inverse variance of the prior on z."""
@@ -439,13 +449,19 @@ class Workbench:
         return True
 
     def brakes(self, model: Model) -> bool:
-        """Whether the damping of the file, bent as the model has it, brakes each axis at the logs' speeds."""
+        """Whether the damping, as the model has it, brakes each axis at the logs' speeds.
+
+        A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
+        """
         speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
-        braking = np.zeros(6)
-        for c, z in zip(self.base, model.z, strict=False):
+        # Of the model as a whole: what a member makes of a coefficient stands in its place.
+        theta = self.theta(model)[: len(self.stretches(model.members).passed)]
+        braking = np.zeros((len(theta), 6))
+        for c in self.base:
             if c.diagonal and c.effect is not AddedMass:
                 axis, by_speed = c.place[0], c.effect is QuadraticDamping
-                braking[axis] += (c.value + z) * (speed[axis] if by_speed else 1.0)
+                least = c.value + theta[:, c.index] + c.prior
+                braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
         return bool((braking >= 0).all())
 
     def stands(self, model: Model, beside: Model) -> bool:
@@ -547,7 +563,7 @@ class Workbench:
         z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
         refined = refine_windows(task, jnp.asarray(z), model.delta, 1)
-        names = [coefficient_name(_KINDS[c.effect], DOFS[c.place[0]]) for c in self.base if c.diagonal]
+        names = [coefficient_name(c.kind, DOFS[c.place[0]]) for c in self.base if c.diagonal]
         return evaluated(self.vehicle, self.data.logs, task, refined, names, self.data.length)
 
     def known(self, model: Model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -622,69 +638,3 @@ def _bodies(plant_of: Callable[..., Plant], theta: Float[Array, "segments slots"
         return plant.load.rigid, plant.load.added, jnp.min(limits, initial=0.0)
 
     return jax.vmap(one)(theta, jnp.arange(len(theta)))
-
-
-@dataclasses.dataclass(frozen=True)
-class Coefficient:
-    """A coefficient that the file has: where it lies, its value there, and the width of its prior.
-
-    - `suspect`: the one that alters it, by its `effect`.
-    - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
-    """
-
-    suspect: int
-    effect: type[AbstractEffect]
-    label: str
-    place: tuple[int, int]
-    index: int
-    value: float
-    prior: float
-    unit: str
-
-    @property
-    def diagonal(self) -> bool:
-        return self.place[0] == self.place[1]
-
-
-def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
-    """Added mass and damping of each free axis, with priors of a tenth of their value; then linear damping
-    between axes, where the file has some.
-
-    Of the total mass for added mass. Where the file says zero on an axis, the prior is what brakes it by 2 %
-    a second (linear), or at 1 m/s or rad/s (quadratic).
-    """
-    mass = np.asarray(vehicle.mass_matrix)
-    linear, quadratic = np.asarray(vehicle.damping.linear), np.asarray(vehicle.damping.quadratic)
-    kinds = {
-        AddedMass: (mass, np.asarray(vehicle.added_mass)),
-        LinearDamping: (linear, linear),
-        QuadraticDamping: (quadratic, quadratic),
-        CoupledDamping: (linear, linear),
-    }
-    out = []
-    for i, suspect in enumerate(layout.suspects):
-        if suspect.effect not in kinds:
-            continue
-        scale, value = (matrix[matrix_place(suspect)] for matrix in kinds[suspect.effect])
-        if suspect.effect is CoupledDamping and not value:
-            continue
-        row, _ = matrix_place(suspect)
-        out.append(
-            Coefficient(
-                i,
-                suspect.effect,
-                suspect.label,
-                matrix_place(suspect),
-                int(np.flatnonzero(layout.columns[i][:, 0])[0]),
-                float(value),
-                FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
-                suspect.effect.units["value"],
-            )
-        )
-    return tuple(sorted(out, key=lambda c: not c.diagonal))
-
-
-def matrix_place(suspect: Suspect) -> tuple[int, int]:
-    """Row and column of the coefficient that a suspect with the target `row` or `row<-column` accuses."""
-    row, _, column = str(suspect.target).partition("<-")
-    return DOFS.index(row), DOFS.index(column or row)

@@ -19,13 +19,12 @@ from scipy.optimize import minimize
 from .._errors import InputError
 from .._precision import need_double
 from .._progress import Progress, silent
-from ..effects import AddedMass, CoupledDamping, LinearDamping, QuadraticDamping
 from ..fitting import start_precision, wrapped
 from ..logs import Log
 from ..physics import step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
-from ._model import base_coefficients
+from ._filed import FILED, base_coefficients
 from ._prepare import WINDOW, window_length
 from ._saturated import SaturatedPlant, saturate
 
@@ -335,8 +334,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         raise InputError(
             f"{vehicle.name}: states no noise under [sensors]; say what is measured, and how well."
         )
-    own = (AddedMass, LinearDamping, QuadraticDamping, CoupledDamping)
-    families, layout = saturate(vehicle, tuple(dict.fromkeys((*own, *(type(c.effect) for c in causes)))))
+    families, layout = saturate(vehicle, tuple(dict.fromkeys((*FILED, *(type(c.effect) for c in causes)))))
     base = base_coefficients(vehicle, layout)
     theta, columns, precision = [], [], []
     for cause in causes:

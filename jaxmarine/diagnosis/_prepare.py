@@ -7,11 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
+from .._progress import Progress, silent
 from .._types import CHANNELS
-from ..fitting import cut, noise_of
+from ..effects import AbstractEffect
+from ..fitting import cut, noise_of, reviewed
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle
+from ._gain import LEAST
 from ._kinematics import contradiction
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
@@ -47,6 +50,50 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
     """The fastest that the logs go on each axis [m/s, rad/s], 1 where it was not measured."""
     speeds = np.abs(np.concatenate([log.channels[:, 6:12] for log in logs]))
     return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """What a diagnosis begins with: a workbench, the model to start from, the test log, what to tell."""
+
+    bench: Workbench
+    begun: Model
+    test: Log
+    notes: tuple[str, ...]
+
+
+def opened_with(
+    vehicle: Vehicle,
+    train: Sequence[Log] | Log,
+    test: Log,
+    catalogue: Sequence[type[AbstractEffect]],
+    window: float | None,
+    progress: Progress = silent,
+) -> Opened:
+    """Logs that were checked and reviewed, on a workbench with noises as large as what the file misses.
+
+    Arguments and errors are those of `diagnose`.
+    """
+    logs = (train,) if isinstance(train, Log) else tuple(train)
+    if not logs:
+        raise InputError("A diagnosis needs at least one training log.")
+    notes = [note for log in (*logs, test) for note in log.notes]
+    logs, test, doubled = named_apart(logs, test)
+    moving(logs)
+    (*logs, test), reviews = reviewed(vehicle, (*logs, test))
+    bench = workbench(vehicle, tuple(logs), catalogue, window)
+    if test.duration < LEAST:
+        raise InputError(
+            f"{test.name}: is shorter than a prediction with its run-in ({LEAST:g} s); use a longer test log."
+        )
+    if not (np.isfinite(test.channels).any(axis=0) & np.isfinite(bench.noise)).any():
+        raise InputError(
+            f"{test.name}: measures nothing that {logs[0].name} measures; use a test log with its channels."
+        )
+    progress("fitting the vehicle file")
+    begun, told = begun_with(bench)
+    notes += [*doubled, *reviews, *stuck(bench), *told]
+    return Opened(rescaled(bench, begun), begun, test, tuple(notes))
 
 
 def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:

@@ -7,8 +7,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from ..effects import AbstractEffect
 from ..fitting import Check
 from ..logs import Rejected
+from ..networks import LearnedWrench
 from ..vehicle import Vehicle
 
 FAR = 10.0  # in units of the sensor noise: what a disturbance leaves, and a wrong axis or sign exceeds
@@ -68,6 +70,11 @@ class Finding:
     def label(self) -> str:
         return _label(self.effect, self.target)
 
+    @property
+    def named(self) -> bool:
+        """Whether it names a cause, and does not only say where one is unknown."""
+        return self.effect != LearnedWrench.name
+
 
 @dataclasses.dataclass(frozen=True)
 class BeforeAfter:
@@ -82,7 +89,8 @@ class Gain:
     """What the extension buys on the test log: open-loop predictions over `horizon` seconds.
 
     `ratio` is that of the error over all measured channels, each in units of its noise; its interval is None
-    where the log is too short for one. `held_out` is False where the test log is also a training log.
+    where the log is too short for one. `held_out` is False where the test log is also a training log; where
+    it is true, that log could at most take names back that buy nothing on it.
     """
 
     horizon: float
@@ -158,6 +166,7 @@ class Diagnosis:
     - `groups`: sets of labels that these logs cannot tell apart.
     - `depends_on`: signals that the residual depends on after the named findings and before any learned
       term; `white`: nothing but sensor noise is left.
+    - `catalogue`: the effects that were suspected.
     - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
@@ -181,6 +190,7 @@ class Diagnosis:
     predictions: Predictions
     missing_before: MissingWrench
     missing_after: MissingWrench
+    catalogue: tuple[type[AbstractEffect], ...]
     check: Check
     train: tuple[str, ...]
     test: str
@@ -220,7 +230,7 @@ class Diagnosis:
             out["alternatives"] = list(out["alternatives"])
             if f.since_log is None:
                 del out["since_log"]
-            if f.effect != "unknown":
+            if f.named:
                 del out["signals"], out["learned"]
             return out
 

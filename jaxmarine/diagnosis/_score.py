@@ -7,6 +7,8 @@ from jaxtyping import Float, Int
 
 # Windows on either side that one disturbance may push alike.
 NEIGHBOURS = 3
+# Share that a window may keep of the one before: with more, a sum over some tens of them says nothing.
+MOST_REMEMBERED = 0.85
 # Folds of a cross-validation, and windows in one stretch of a fold.
 FOLDS, STRETCH = 6, 3
 
@@ -69,7 +71,7 @@ def lasting(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarr
     off = per_window - per_window.mean(0)
     own = (off**2).sum(0)
     share = (off[1:] * off[:-1]).sum(0) / np.maximum(own, 1e-300)
-    share = np.clip(share + (1 + 3 * share) / count, 0.0, 0.85)
+    share = np.clip(share + (1 + 3 * share) / count, 0.0, MOST_REMEMBERED)
     new = ((off[1:] - share * off[:-1]) ** 2).sum(0)
     return np.maximum(new / (1 - share) ** 2 / max(count - 2, 1), own / max(count - 1, 1))
 

@@ -1,7 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -39,6 +39,8 @@ CLOSE = 6.0
 SAME = 1.25
 # Chi-square that some suspect must save before the costly starts are tried.
 PROBED = 20.0
+# Chi-square per dispersion by which the bent file must do better than the one as filed to have bent far.
+BENT = 20.0
 # Share of the best saving that a costly start must promise, and by which a beginning must beat acting always;
 # and the chi-square that it must beat it by at least.
 WORTHWHILE, BEGINS = 0.2, 40.0
@@ -176,20 +178,23 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     return out
 
 
+def trial_of(model: Model, member: Member, refitted: Model) -> Trial:
+    """By what a refit with one member more saves."""
+    return Trial(member, refitted, 2 * (model.cost - refitted.cost))
+
+
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
     """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
-    members = [member for member, _ in starts]
     begun = []
     for member, value in starts:
         value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
         begun.append(bench.with_member(model, member, value))
 
-    def tried(members: Iterable[Member], models: Iterable[Model]) -> list[Trial]:
-        return [Trial(m, one, 2 * (model.cost - one.cost)) for m, one in zip(members, models, strict=True)]
-
-    trials = [t for t in tried(members, bench.refine_each(begun, FEW_STEPS, ROUGH)) if np.isfinite(t.saved)]
+    refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
+    trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
+    trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
     leading = HOPEFUL * max([2 * (model.cost - t.model.promised) for t in trials], default=0.0)
     trials.sort(key=lambda t: t.model.promised)
@@ -212,7 +217,7 @@ def _trials(
     for i, other in zip(anew, afresh, strict=True):
         fitted[i] = min(fitted[i], other, key=lambda m: (not bench.sound(m), m.cost))
     for i, one in fitted.items():
-        trials[i] = Trial(trials[i].member, one, 2 * (model.cost - one.cost))
+        trials[i] = trial_of(model, trials[i].member, one)
     return [t for t in trials if bench.sound(t.model)]
 
 
@@ -220,6 +225,19 @@ def penalty(bench: Workbench, member: Member) -> float:
     """Chi-square that a member's parameters, and its beginning, must pay for: log(n) each (Schwarz)."""
     own = bench.layout.columns[member.suspect].shape[1] + (member.since is not None)
     return own * np.log(bench.samples)
+
+
+def evidence(bench: Workbench, member: Member, saved: float, phi: float) -> float:
+    """Logarithm of the Bayes factor [nats] of a member that saves so much chi-square (Schwarz)."""
+    return float(0.5 * (saved / phi - penalty(bench, member)))
+
+
+def replaces(
+    bench: Workbench, other: Model, member: Member, model: Model, beaten: Member, phi: float
+) -> bool:
+    """Whether a model with another member in the place of one may stand and has more evidence."""
+    more = evidence(bench, member, 2 * (model.cost - other.cost), phi) - evidence(bench, beaten, 0.0, phi)
+    return bench.stands(other, model) and more > 0
 
 
 def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -> np.ndarray:
@@ -270,7 +288,7 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
-    """The most promising suspects, each refitted beside what the model has, the best by evidence first."""
+    """The most promising suspects, each refitted beside what the model has, the best of white noise first."""
     progress(f"scoring {len(bench.layout.suspects)} suspects")
     ranked, begun = shortlist(bench, model, stats)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
@@ -286,7 +304,7 @@ def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = s
 
 
 def _by_penalty(bench: Workbench, trials: Sequence[Trial]) -> list[Trial]:
-    return sorted(trials, key=lambda t: penalty(bench, t.member) - t.saved)
+    return sorted(trials, key=lambda t: -evidence(bench, t.member, t.saved, 1.0))
 
 
 def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress = silent) -> list[Trial]:
@@ -295,7 +313,7 @@ def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress =
     Free, the file's coefficients bend to what a cause does, and leave it nothing to explain.
     """
     held = bench.refine(bench.frozen(bench.as_filed(model)))
-    bent = 2 * (held.cost - model.cost) > PROBED * phi
+    bent = 2 * (held.cost - model.cost) > BENT * phi
     return weigh(bench, held, bench.screen(held), progress) if bent and np.isfinite(held.cost) else []
 
 
@@ -304,7 +322,7 @@ def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Tria
     out = []
     for trial in trials:
         free = bench.refine(dataclasses.replace(trial.model, frozen=False), STEPS, ROUGH)
-        out.append(Trial(trial.member, free, 2 * (model.cost - free.cost)))
+        out.append(trial_of(model, trial.member, free))
     return [t for t in out if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
@@ -371,7 +389,7 @@ def _decided(
         exact = bench.refine(trial.model)
         if not bench.stands(exact, model):
             continue
-        winner = dataclasses.replace(trial, model=exact, saved=2 * (model.cost - exact.cost))
+        winner = trial_of(model, trial.member, exact)
         after = bench.screen(exact)
         phi = dispersion(bench, exact, after)
         if not significant(bench, winner, stats, after, phi):
@@ -393,20 +411,16 @@ def _by_evidence(
     bench: Workbench, model: Model, winner: Trial, others: Sequence[Trial], phi: float
 ) -> list[Trial]:
     """All trials, the best by evidence first; those that may be as good as the winner refitted to the end."""
-
-    def chi2(trial: Trial, saved: float) -> float:
-        return saved / phi - penalty(bench, trial.member)
-
-    out, least = [winner], chi2(winner, winner.saved) - CLOSE
+    out, least = [winner], evidence(bench, winner.member, winner.saved, phi) - CLOSE / 2
     for trial in others:
         hoped = trial.saved + 2 * max(trial.model.cost - trial.model.promised, 0.0)
-        if chi2(trial, hoped) > least:
+        if evidence(bench, trial.member, hoped, phi) > least:
             exact = bench.refine(trial.model)
             if not bench.stands(exact, model):
                 continue
-            trial = Trial(trial.member, exact, 2 * (model.cost - exact.cost))
+            trial = trial_of(model, trial.member, exact)
         out.append(trial)
-    return sorted(out, key=lambda t: -chi2(t, t.saved))
+    return sorted(out, key=lambda t: -evidence(bench, t.member, t.saved, phi))
 
 
 def _begun(begun: dict[int, Member], trials: list[Trial]) -> list[Member]:

@@ -17,7 +17,7 @@ from ._search import (
     dispersion,
     needed,
     own_dispersion,
-    penalty,
+    replaces,
 )
 from ._worth import gain_at_home
 
@@ -42,7 +42,7 @@ def pruned(bench: Workbench, model: Model) -> Model:
             continue
         less = bench.refine(less)
         idle = 2 * (less.cost - model.cost) < least
-        if idle or (not sound and bench.sound(less)):
+        if idle or (not sound and np.isfinite(less.cost) and bench.sound(less)):
             return pruned(bench, less)
     return model
 
@@ -66,8 +66,7 @@ def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: flo
                 continue
             value = trial.model.z[bench.slices(trial.model.members)[-1]]
             other = bench.refine(bench.with_other(model, i, trial.member, value), STEPS)
-            price = penalty(bench, trial.member) - penalty(bench, model.members[i])
-            if bench.stands(other, model) and 2 * (other.cost - model.cost) / phi + price < 0:
+            if replaces(bench, other, trial.member, model, model.members[i], phi):
                 model = other
     return model
 
@@ -86,7 +85,9 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
                 time = float(log.t[np.argmin(np.abs(log.t - time))])
                 other = dataclasses.replace(member, since=Beginning(member.since.log, time))
                 members = tuple(other if j == i else m for j, m in enumerate(model.members))
-                moved.append(dataclasses.replace(model, members=members))
+                # Of beginnings that coincide one moves only where there is room for one more.
+                if bench.have_room(members):
+                    moved.append(dataclasses.replace(model, members=members))
             best = model
             for trial in bench.refine_each(moved, max_steps=6):
                 if trial.cost < best.cost - 1e-6:

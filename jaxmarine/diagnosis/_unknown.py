@@ -23,6 +23,8 @@ from ._signals import Places, Signals
 # of signals are tried, of which chance alone would give three to a few. The first number is for what explains
 # most of what is left, which chance does not.
 SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
+# Chi-square that a dependence must save beyond what the number of trials asks for (odds of 1 to 150).
+LEAST = 10.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
 # Share of what is left beyond the noise that is most of it: then a dependence on measured velocities speaks
@@ -307,7 +309,7 @@ def dependences(
     ledger = _Ledger(k)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
-    enough = 2 * phi * np.log(len(k.places.signals) ** 2 * len(left)) + 10.0
+    enough = 2 * phi * np.log(len(k.places.signals) ** 2 * len(left)) + LEAST
     while left:
         trials = {axis: _best_signals(ledger, axis) for axis in left}
         axis = max(trials, key=lambda a: trials[a][1].sum())
@@ -360,7 +362,7 @@ def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float)
     tied = tuple(n for n in order[1:] if alike[n] > alike[best] - ALIKE)
     saved = float(chi2.sum() - freedom)
     empty = np.zeros((*k.places.t.shape, 0))
-    enough = saved > 2 * phi * np.log(len(alike)) + 10.0
+    enough = saved > 2 * phi * np.log(len(alike)) + LEAST
     return (Dependence(axis, (best,), tied, saved, empty, remembers=False),) if enough else ()
 
 

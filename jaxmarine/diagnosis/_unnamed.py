@@ -14,7 +14,6 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._judge import Judged, judged
 from ._model import Model, Workbench
-from ._search import MARGIN
 from ._settle import pruned
 from ._signals import Signals
 from ._unknown import Dependence, cost_of_removal, dependences, explained, size_only
@@ -24,14 +23,35 @@ from ._unknown import Dependence, cost_of_removal, dependences, explained, size_
 # than the third one of what they leave together with unknown dependences, or the last one of what more than
 # two of them leave.
 STAND_IN, ALONE, WITH_UNKNOWN, CROWD = 0.35, 0.6, 0.7, 0.8
-# Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left;
-# and what is left per sample, beyond the noise, from which it is asked whether names are of any use.
-DEAR, PLENTY = 10.0, 0.5
+# Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left,
+# and shapes that are counted beside its own, for how many were tried.
+DEAR, SPARE = 10.0, 12
+# What is left per sample, beyond the noise, from which it is asked whether names are of any use.
+PLENTY = 0.5
 
 
-def with_unknown(
-    bench: Workbench, now: Judged, dense: bool, progress: Progress
-) -> tuple[Judged, tuple[Dependence, ...]]:
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What the logs are explained by: a judged model and unknown dependences.
+
+    - `dense`: the file's coefficients were recalibrated.
+    """
+
+    judged: Judged
+    unknown: tuple[Dependence, ...]
+    dense: bool
+
+    @property
+    def model(self) -> Model:
+        return self.judged.model
+
+    @property
+    def changed(self) -> bool:
+        """Whether something of the file is changed by it, before anything unknown is learned."""
+        return bool(self.model.members) or self.dense
+
+
+def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress) -> Answer:
     """What the residual depends on, and the model without members that only stood in for that."""
     while not now.white:
         progress("looking for what the residual depends on")
@@ -41,13 +61,13 @@ def with_unknown(
             unknown = size_only(now.knots, now.phi, _undisturbed(bench, vehicle), bench.freedom)
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
-            return now, unknown
+            return Answer(now, unknown, dense)
         now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
         # What was found beside a stand-in may have mended what that spoilt.
         model = pruned(bench, now.model)
         if model is not now.model:
             now = judged(bench, model)
-    return now, ()
+    return Answer(now, (), dense)
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
@@ -104,6 +124,10 @@ class Unnamed:
     def dependences(self) -> tuple[Dependence, ...]:
         return _dependences(self.bench, self.judged, self.bench.vehicle)
 
+    @property
+    def answer(self) -> Answer:
+        return Answer(self.judged, self.dependences, False)
+
     @functools.cached_property
     def rest(self) -> float:
         """Chi-square beyond the noise that is left, if the file's coefficients may change as well."""
@@ -112,7 +136,7 @@ class Unnamed:
         free = dataclasses.replace(self.judged.knots, precision=precision)
         return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.freedom, 0.0)
 
-    def better(self, model: Model) -> bool:
+    def beats(self, model: Model) -> bool:
         """Whether several members leave clearly more than unknown dependences alone would."""
         rest, count = 2 * model.cost - self.bench.freedom, len(model.members)
         share = ALONE if count == 2 else CROWD
@@ -123,14 +147,15 @@ class Unnamed:
         if not self.dependences:
             return False
         shapes = sum(one.features.shape[-1] for one in self.dependences)
-        chance = DEAR * (shapes + MARGIN) * (self.rest / self.bench.freedom + 1.0)
+        chance = DEAR * (shapes + SPARE) * (self.rest / self.bench.freedom + 1.0)
         return self.rest < min(share * rest, rest - chance)
 
 
-def left_over(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
+def left_over(bench: Workbench, answer: Answer) -> float:
     """Chi-square beyond the noise that a model leaves together with unknown dependences."""
-    saved = explained(now.knots, unknown) - explained(now.knots, ())
-    return max(2 * now.model.cost - saved - bench.freedom, 0.0)
+    missing = answer.judged.knots
+    saved = explained(missing, answer.unknown) - explained(missing, ())
+    return max(2 * answer.model.cost - saved - bench.freedom, 0.0)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:

@@ -7,17 +7,15 @@ from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from .._precision import need_double
-from ..effects import CATALOGUE
-from ..fitting import reviewed
+from ..effects import CATALOGUE, AbstractEffect
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
-from ._gain import HORIZON, Candidate, gain, predictions
+from ._gain import HORIZON, LEAST, OF_STARTS, RUN_IN, Candidate, gain, predictions
 from ._model import Beginning, Member, Model, Workbench, filled
-from ._prepare import begun_with, rescaled, workbench
+from ._prepare import opened_with
 from ._result import Gain
 
-LEAST = HORIZON + 4.0  # [s] of a log on which a gain is measured
-# Share of the error that a name must not leave: of the 362 right ones of the blind matrix none does.
+# Share of the error that names must not leave: those that do bought nothing.
 NOTHING = 0.95
 
 
@@ -27,19 +25,16 @@ def gain_of(
     train: Sequence[Log] | Log,
     test: Log,
     causes: Sequence[Placed],
+    catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
 ) -> Gain:
     """What given causes buy on the test log, refitted from their values: what naming them is worth.
 
-    As `diagnose` measures it, without a search. Raises `InputError` where the catalogue lacks a cause, where
-    one begins in a log that is not given, and where the vehicle runs away along the logs; `ValueError` in
-    single precision.
+    As `diagnose` measures it, without a search. Raises what that raises, and `InputError` where the catalogue
+    lacks a cause or one begins in a log that is not given.
     """
     need_double("A gain")
-    logs = (train,) if isinstance(train, Log) else tuple(train)
-    (*logs, test), _ = reviewed(vehicle, (*logs, test))
-    bench = workbench(vehicle, logs, CATALOGUE, None)
-    bench = rescaled(bench, begun_with(bench)[0])
-    names = [log.name for log in logs]
+    opened = opened_with(vehicle, train, test, catalogue, None)
+    bench, names = opened.bench, [log.name for log in opened.bench.data.logs]
     model = bench.start()
     for cause in causes:
         i = bench.layout.place_of(cause)
@@ -53,7 +48,7 @@ def gain_of(
                 )
             since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
-    return measured_gain(bench, bench.fitted(model), bool(causes), (), test)[0]
+    return measured_gain(bench, bench.fitted(model), bool(causes), (), opened.test)[0]
 
 
 def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:
@@ -70,12 +65,11 @@ def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Pl
     return measured_gain(bench, model, changed, terms, log)[0].ratio
 
 
-def buys_nothing(bench: Workbench, model: Model, test: Log) -> bool:
-    """Whether a model's members leave the error on a log that was not fitted as it is.
+def buys_nothing(gain: Gain) -> bool:
+    """Whether what was named leaves the error on a log that was not fitted as it is.
 
-    One that they make larger for sure is another matter: what they stand for may be absent there.
+    What makes it larger for sure is another matter: the cause may be absent there.
     """
-    gain = measured_gain(bench, model, True, (), test)[0]
     low, high = gain.ratio_ci95 or (0.0, np.inf)
     return gain.held_out and gain.ratio > NOTHING and low <= 1.0 <= high
 
@@ -91,7 +85,7 @@ def measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence
         gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
         theta, phases = bench.theta(model, stretches), bench.phases(model.members)
         candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
-    run_in = min(bench.data.length, max(2.0, test.duration - HORIZON - 2.0))
+    run_in = min(bench.data.length, max(RUN_IN, test.duration - HORIZON - OF_STARTS))
     times, predicted, measured, begin = predictions(
         candidates,
         test,

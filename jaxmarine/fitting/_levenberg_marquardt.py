@@ -15,7 +15,12 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .._compiled import compiled
 from ._trust import Trust, pick
+
+# Samples whose Jacobian is held at once: of some tens of weights it stays in the processor's cache, and the
+# Jacobian of ten thousand takes two thirds of the time to be written and read.
+BATCH = 1000
 
 
 class Restarts(eqx.Module):
@@ -127,7 +132,7 @@ class NormalLevenbergMarquardt(optx.AbstractMinimiser[Float[Array, " weights"], 
         return y, aux, {"cost": state.trust.cost}
 
 
-@eqx.filter_jit
+@compiled
 def fit_samples(
     fn: Callable[[PyTree, Any], Array],
     starts: PyTree,
@@ -149,22 +154,44 @@ def fit_samples(
     _, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda a: a[0], starts))
     solver = NormalLevenbergMarquardt(rtol=rtol)
 
-    def normal(flat, samples):
-        def one(sample):
-            value = fn(unravel(flat), sample)
-            return value, jax.jacrev(lambda y: fn(unravel(y), sample))(flat)
+    def normal(flat, batches):
+        def one(sample, counts):
+            def residual(y):
+                return counts * fn(unravel(y), sample)
 
-        # Samples last: the product below then runs along contiguous memory.
-        residual, jacobian = jax.vmap(one, out_axes=-1)(samples)
-        rows = jnp.moveaxis(jacobian, 0, 1).reshape(flat.size, -1)
-        along = residual.reshape(-1)
-        return 0.5 * along @ along, Normal(rows @ along, rows @ rows.T)
+            return residual(flat), jax.jacrev(residual)(flat)
+
+        def add(sums, batch):
+            # Samples last: the product below then runs along contiguous memory.
+            residual, jacobian = jax.vmap(one, out_axes=-1)(*batch)
+            rows = jnp.moveaxis(jacobian, 0, 1).reshape(flat.size, -1)
+            along = residual.reshape(-1)
+            more = 0.5 * along @ along, Normal(rows @ along, rows @ rows.T)
+            return jax.tree.map(jnp.add, sums, more), None
+
+        nothing = Normal(jnp.zeros_like(flat), jnp.zeros((flat.size, flat.size), flat.dtype))
+        return jax.lax.scan(add, (jnp.zeros((), flat.dtype), nothing), batches)[0]
+
+    batches = _in_batches(samples)
 
     def solve(start):
         flat, _ = jax.flatten_util.ravel_pytree(start)
-        found = optx.minimise(normal, solver, flat, samples, has_aux=True, max_steps=max_steps, throw=False)
+        found = optx.minimise(normal, solver, flat, batches, has_aux=True, max_steps=max_steps, throw=False)
         done = found.result == optx.RESULTS.successful
         cost = found.stats["cost"]
         return unravel(found.value), cost, done & jnp.isfinite(cost), found.stats["num_steps"]
 
     return Restarts(*jax.vmap(solve)(starts))
+
+
+def _in_batches(samples: PyTree) -> tuple[PyTree, Bool[Array, "batches batch"]]:
+    """The samples in batches, filled up with the last one, and which of them count."""
+    count = len(jax.tree.leaves(samples)[0])
+    number = -(-count // BATCH)
+    size = -(-count // number)
+
+    def cut(a):
+        filled = jnp.concatenate([a, jnp.repeat(a[-1:], number * size - count, axis=0)])
+        return filled.reshape(number, size, *a.shape[1:])
+
+    return jax.tree.map(cut, samples), (jnp.arange(number * size) < count).reshape(number, size)

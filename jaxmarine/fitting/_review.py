@@ -3,6 +3,9 @@
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
+from .._types import DOFS
 from ..logs import Log, doubtful_noise, smooth_states
 from ..vehicle import Vehicle
 from ._clock import clock_offset, told
@@ -11,17 +14,32 @@ from ._driven import HALF, driven
 
 # A shorter log does not show what is usual in it [s].
 _LEAST = 30.0
+# Share of its mass by which an axis is pushed at 1 m/s or rad/s [1/s]: less is rounding.
+_PUSH = 0.02
 
 
 def reviewed(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[str, ...]]:
-    """The logs without their accidents (`Log.rejected`), and what there is to say of these, of clocks, and of
-    stated noise that the samples contradict.
+    """The logs without their accidents (`Log.rejected`), and what there is to say of these, of clocks, of
+    stated noise that the samples contradict, and of damping with the wrong sign.
 
-    The sentences stand in the logs' notes too. A log of which there is nothing to say comes back as it is.
+    What is said of a log stands in its notes too. One of which there is nothing to say comes back as it is.
     """
     after = tuple(_reviewed(vehicle, log) for log in logs)
     added = (note for old, new in zip(logs, after, strict=True) for note in new.notes[len(old.notes) :])
-    return after, tuple(dict.fromkeys(added))
+    return after, tuple(dict.fromkeys((*_pushing(vehicle), *added)))
+
+
+def _pushing(vehicle: Vehicle) -> list[str]:
+    """A note on axes that the vehicle's damping drives."""
+    force = np.diag(np.asarray(vehicle.damping.linear + vehicle.damping.quadratic))
+    pushes = (force < -_PUSH * np.diag(np.asarray(vehicle.mass_matrix))) & (np.asarray(vehicle.free) > 0)
+    names = ", ".join(name for name, bad in zip(DOFS, pushes, strict=True) if bad)
+    if not names:
+        return []
+    return [
+        f"{vehicle.name}: its damping drives it in {names} instead of braking it; a vehicle file has damping "
+        "with the positive sign."
+    ]
 
 
 def _reviewed(vehicle: Vehicle, log: Log) -> Log:

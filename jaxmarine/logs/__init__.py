@@ -15,6 +15,7 @@ from ._motion import Motion as Motion
 from ._motion import smooth_motion as smooth_motion
 from ._noise import doubtful_noise as doubtful_noise
 from ._noise import estimate_noise as estimate_noise
+from ._noise import resolution as resolution
 from ._noise import sensor_noise as sensor_noise
 from ._read import read_log as read_log
 from ._read import write_log as write_log

@@ -124,7 +124,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     gain = diagnosis.gain
     shown = compared(diagnosis)
     misfits = {"before": diagnosis.misfit_before, "after": diagnosis.misfit_after}
-    named = sum(finding.effect != "unknown" for finding in diagnosis.findings)
+    named = sum(finding.named for finding in diagnosis.findings)
     return [
         ("Named causes", str(named), "found in the training logs"),
         (
@@ -143,7 +143,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
     rivals = words.rivals(finding, diagnosis.groups)
-    if finding.effect == "unknown":
+    if not finding.named:
         other = ""
     elif rivals:
         names = joined([title(label) for label in rivals], "or")
@@ -154,11 +154,11 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
     return Card(
         heading=title(finding.label),
         what=what(finding, diagnosis.vehicle),
-        advice=words.advice(finding, diagnosis.extended.placed),
+        advice=words.advice(finding, diagnosis.catalogue),
         sure=words.sureness(finding.log_evidence)
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,
-        deciding=words.deciding((finding.label, *rivals), diagnosis.extended.placed) if rivals else "",
+        deciding=words.deciding((finding.label, *rivals), diagnosis.catalogue) if rivals else "",
     )
 
 
@@ -185,7 +185,7 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
 def _row(suspect: Weighed, taken: Weighed | None, largest: float, diagnosis: Diagnosis) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
-    values = words.values(suspect.label, suspect.parameters, diagnosis.extended.placed)
+    values = words.values(suspect.label, suspect.parameters, diagnosis.catalogue)
     begins = "" if suspect.since is None else f", since {number(suspect.since)} s"
     return Row(
         title=title(suspect.label) + begins,

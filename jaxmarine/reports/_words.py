@@ -9,21 +9,20 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from ..diagnosis import Diagnosis, Finding
 from ..effects import CATALOGUE, AbstractEffect
-from ..vehicle import Placed
 from ._causes import signal, title, what
 from ._numbers import count, joined, number, percent, sentence, unit_on
 
 VERY_STRONG = 5.0  # log evidence, after Kass and Raftery (1995)
 
 
-def _effects(placed: Sequence[Placed]) -> dict[str, type[AbstractEffect]]:
-    """The known effects by name, a user's own in the extended vehicle among them."""
-    return {effect.name: effect for effect in (*CATALOGUE, *(type(one.effect) for one in placed))}
+def _effect(label: str, catalogue: Sequence[type[AbstractEffect]]) -> type[AbstractEffect] | None:
+    """The one of the catalogue that a label such as `thruster_gain:port` accuses."""
+    return next((effect for effect in catalogue if effect.name == label.partition(":")[0]), None)
 
 
-def advice(finding: Finding, placed: Sequence[Placed] = ()) -> str:
-    """What to look at on the boat; `placed`: the effects of the extended vehicle."""
-    if finding.effect == "unknown":
+def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE) -> str:
+    """What to look at on the boat; `catalogue`: the effects that were suspected."""
+    if not finding.named:
         look = (
             f"Look for what changes with the {joined([signal(name) for name in finding.signals])}."
             if finding.signals
@@ -35,7 +34,7 @@ def advice(finding: Finding, placed: Sequence[Placed] = ()) -> str:
             f"{look} Until its cause is known, the extended vehicle carries a term learned from "
             "the log: good for prediction, no explanation."
         )
-    effect = _effects(placed).get(finding.effect)
+    effect = _effect(finding.label, catalogue)
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
@@ -65,11 +64,11 @@ def rivals(finding: Finding, groups: Iterable[Sequence[str]]) -> tuple[str, ...]
     return tuple(dict.fromkeys(found))
 
 
-def deciding(labels: Sequence[str], placed: Sequence[Placed] = ()) -> str:
-    """Which manoeuvre shows which of these causes best; `placed` as in `advice`."""
-    effects, manoeuvres = _effects(placed), dict[str, list[str]]()
+def deciding(labels: Sequence[str], catalogue: Sequence[type[AbstractEffect]] = CATALOGUE) -> str:
+    """Which manoeuvre shows which of these causes best; `catalogue` as in `advice`."""
+    manoeuvres = dict[str, list[str]]()
     for label in labels:
-        effect = effects.get(label.partition(":")[0])
+        effect = _effect(label, catalogue)
         if effect is not None and effect.shown_by:
             manoeuvres.setdefault(effect.shown_by, []).append(title(label))
     if len(manoeuvres) == 1:
@@ -87,10 +86,11 @@ def next_best(finding: Finding) -> str:
     return f"The next best, {title(best.label)}, has a log evidence of {number(best.log_evidence)}."
 
 
-def values(label: str, parameters: Mapping[str, float], placed: Sequence[Placed] = ()) -> str:
-    """`factor 0.71`: the numbers of a suspect with their units; `placed` as in `advice`."""
-    name, _, target = label.partition(":")
-    effect = _effects(placed).get(name)
+def values(
+    label: str, parameters: Mapping[str, float], catalogue: Sequence[type[AbstractEffect]] = CATALOGUE
+) -> str:
+    """`factor 0.71`: the numbers of a suspect with their units; `catalogue` as in `advice`."""
+    effect, target = _effect(label, catalogue), label.partition(":")[2]
     units = {} if effect is None else effect.units
     return ", ".join(
         f"{key} {number(value)} {unit_on(units.get(key, ''), target or None)}".rstrip()
@@ -100,8 +100,8 @@ def values(label: str, parameters: Mapping[str, float], placed: Sequence[Placed]
 
 def verdict(diagnosis: Diagnosis) -> str:
     """The whole answer in one sentence."""
-    named = [finding for finding in diagnosis.findings if finding.effect != "unknown"]
-    strange = [finding.target or "" for finding in diagnosis.findings if finding.effect == "unknown"]
+    named = [finding for finding in diagnosis.findings if finding.named]
+    strange = [finding.target or "" for finding in diagnosis.findings if not finding.named]
     unknown = (
         f"something that no known cause explains acts in {joined(strange)}"
         if strange
@@ -188,7 +188,10 @@ def gain_words(diagnosis: Diagnosis) -> str:
 def held_out(diagnosis: Diagnosis) -> str:
     """Whether the gain was measured on a log that the diagnosis had not seen."""
     if diagnosis.gain.held_out:
-        return f"Held out: `{diagnosis.test}` was not used for finding or fitting anything."
+        return (
+            f"Held out: `{diagnosis.test}` was not used for finding or fitting anything; it could at most "
+            "take names back that buy nothing on it."
+        )
     return (
         f"Not held out: `{diagnosis.test}` was also used for training, so the gain is too good to "
         "be true for a new log. Test on another one."

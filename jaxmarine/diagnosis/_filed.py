@@ -1,0 +1,99 @@
+"""The coefficients of the vehicle file that a diagnosis may refit, by the effects that change them."""
+
+import dataclasses
+from collections.abc import Sequence
+from operator import attrgetter
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._types import DOFS
+from ..effects import AbstractEffect, AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, Suspect
+from ..vehicle import Vehicle
+from ._saturated import Layout
+
+# How far coefficients of a vehicle file are commonly wrong, relative to their value.
+FILE_ERROR = 0.1
+# Where a vehicle has the matrix that an effect changes.
+FILED: dict[type[AbstractEffect], str] = {
+    AddedMass: "added_mass",
+    LinearDamping: "damping.linear",
+    QuadraticDamping: "damping.quadratic",
+    CoupledDamping: "damping.linear",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient:
+    """A coefficient that the file has: where it lies, its value there, and the width of its prior.
+
+    - `suspect`: the one that alters it, by its `effect`.
+    - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
+    """
+
+    suspect: int
+    effect: type[AbstractEffect]
+    label: str
+    place: tuple[int, int]
+    index: int
+    value: float
+    prior: float
+    unit: str
+
+    @property
+    def kind(self) -> str:
+        return FILED[self.effect]
+
+    @property
+    def diagonal(self) -> bool:
+        return self.place[0] == self.place[1]
+
+
+def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
+    """Added mass and damping of each free axis, with priors of a tenth of their value; then linear damping
+    between axes, where the file has some.
+
+    Of the total mass for added mass. Where the file says zero on an axis, the prior is what brakes it by 2 %
+    a second (linear), or at 1 m/s or rad/s (quadratic).
+    """
+    mass = np.asarray(vehicle.mass_matrix)
+    out = []
+    for i, suspect in enumerate(layout.suspects):
+        if suspect.effect not in FILED:
+            continue
+        row, column = matrix_place(suspect)
+        value = np.asarray(attrgetter(FILED[suspect.effect])(vehicle))[row, column]
+        if suspect.effect is CoupledDamping and not value:
+            continue
+        scale = mass[row, column] if suspect.effect is AddedMass else value
+        out.append(
+            Coefficient(
+                i,
+                suspect.effect,
+                suspect.label,
+                (row, column),
+                int(np.flatnonzero(layout.columns[i][:, 0])[0]),
+                float(value),
+                FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
+                suspect.effect.units["value"],
+            )
+        )
+    return tuple(sorted(out, key=lambda c: not c.diagonal))
+
+
+def matrix_place(suspect: Suspect) -> tuple[int, int]:
+    """Row and column of the coefficient that a suspect with the target `row` or `row<-column` accuses."""
+    row, _, column = str(suspect.target).partition("<-")
+    return DOFS.index(row), DOFS.index(column or row)
+
+
+def refiled(vehicle: Vehicle, base: Sequence[Coefficient], changes: Float[np.ndarray, " base"]) -> Vehicle:
+    """The vehicle with its coefficients changed by so much each."""
+    for kind in dict.fromkeys(c.kind for c in base):
+        matrix = np.zeros((6, 6))
+        for c, change in zip(base, changes, strict=True):
+            if c.kind == kind:
+                matrix[c.place] = change
+        vehicle = eqx.tree_at(attrgetter(kind), vehicle, attrgetter(kind)(vehicle) + matrix)
+    return vehicle

@@ -1,0 +1,601 @@
+"""The last decisions of a diagnosis, on a linear toy whose costs are known by hand or by least squares."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxmarine.diagnosis import Diagnosis, _coefficients, _diagnose, _settle, _unnamed
+from jaxmarine.diagnosis._filed import Coefficient
+from jaxmarine.diagnosis._judge import Judged
+from jaxmarine.diagnosis._knots import Knots
+from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Workbench
+from jaxmarine.diagnosis._result import Gain, Predictions
+from jaxmarine.diagnosis._score import Reduced
+from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file
+from jaxmarine.diagnosis._unknown import Dependence
+from jaxmarine.diagnosis._unnamed import Answer, Unnamed
+from jaxmarine.effects import LinearDamping
+from jaxmarine.fitting import Segments
+from jaxmarine.logs import Log
+from jaxmarine.networks import learned_wrench
+from tests.boats import boat
+
+WINDOWS, ROWS, BASE, SUSPECTS = 40, 8, 4, 8
+SAMPLES = WINDOWS * ROWS
+# A number that is off by v costs v² times this, beside columns at right angles to its own.
+SIZE, PRIOR = 1e4, 0.1
+# What a finding must save beside seven other suspects, noise being as stated: 30.2. The toy has none.
+LEAST = 2 + 2 * np.log(SUSPECTS) + 24
+
+
+def right_angled() -> np.ndarray:
+    """Columns of all suspects, at right angles to one another [windows, rows, suspects]."""
+    columns = np.linalg.qr(np.random.default_rng(0).normal(size=(SAMPLES, SUSPECTS)))[0]
+    return np.sqrt(SIZE) * columns.reshape(WINDOWS, ROWS, SUSPECTS)
+
+
+def mixed(which: int, parts: dict[int, float]) -> np.ndarray:
+    """The same, with one column in the direction of a weighted sum."""
+    out = right_angled()
+    column = sum(share * out[..., i] for i, share in parts.items())
+    out[..., which] = np.sqrt(SIZE) * column / np.linalg.norm(column)
+    return out
+
+
+def a_log(samples: int) -> Log:
+    """A sample a second, of nothing."""
+    t = np.arange(float(samples))
+    return Log(t, np.zeros((samples, 18)), None, np.zeros((samples, 6)), (), "test.csv")
+
+
+class Bench(Workbench):
+    """Suspects of one number each, a sample a second: the first four alter a coefficient of the file.
+
+    - `truth`: what the log was made with; `far`: how far above its end a refit of few steps promises to end.
+    """
+
+    def __init__(self, truth: dict[Member, float], columns: np.ndarray | None = None):
+        self.columns = right_angled() if columns is None else columns
+        suspects = tuple(SimpleNamespace(effect=None, starts=(), label=str(i)) for i in range(SUSPECTS))
+        each = tuple(np.eye(SUSPECTS)[:, [i]] for i in range(SUSPECTS))
+        layout: Any = SimpleNamespace(suspects=suspects, columns=each, size=SUSPECTS)
+        data: Any = SimpleNamespace(logs=(a_log(SAMPLES),), length=float(ROWS))
+        self.layout, self.data, self.samples = layout, data, SAMPLES
+        self.base = tuple(
+            Coefficient(i, LinearDamping, str(i), (i, i), i, 1.0, PRIOR, "-") for i in range(BASE)
+        )
+        self.group_windows, self.group_log = np.arange(WINDOWS), np.zeros(WINDOWS, int)
+        self.group_starts = ROWS * np.arange(float(WINDOWS))
+        self.y = sum((v * self.column(m) for m, v in truth.items()), np.zeros((WINDOWS, ROWS)))
+        self.vehicle, self._own = boat(), Segments((np.zeros(SAMPLES, int),), np.zeros((1, 0)))
+        self.unsound: set[int] = set()
+        self.far = 0.0
+
+    def column(self, member: Member) -> np.ndarray:
+        t = np.arange(SAMPLES).reshape(WINDOWS, ROWS)
+        acts = 1.0 if member.since is None else t >= member.since.time
+        return self.columns[..., member.suspect] * acts
+
+    def jacobian(self, model: Model) -> np.ndarray:
+        members = (*(Member(i) for i in range(BASE)), *model.members)
+        return np.stack([self.column(m) for m in members], axis=-1)
+
+    def refine(self, model, max_steps=25, rtol=1e-6):
+        self.stretches(model.members)  # raises where there is no room for so many beginnings
+        flat, precision = self.jacobian(model).reshape(SAMPLES, -1), self._precision(model)
+        z = np.linalg.solve(flat.T @ flat + np.diag(precision), flat.T @ self.y.ravel())
+        cost = 0.5 * float(((flat @ z - self.y.ravel()) ** 2).sum() + precision @ z**2)
+        promised = cost + (self.far if max_steps <= _settle.FEW_STEPS else 0.0)
+        return dataclasses.replace(model, z=z, cost=cost, promised=promised)
+
+    def refine_each(self, models, max_steps=25, rtol=1e-6):
+        return [self.refine(model, max_steps) for model in models]
+
+    def screen(self, model):
+        begun = [self.column(m)[..., None] for m in model.members if m.since is not None]
+        room = np.zeros((WINDOWS, ROWS, BEGUN - len(begun)))
+        columns = np.concatenate([self.columns, *begun, room], axis=-1)
+        residual = self.jacobian(model) @ model.z - self.y
+        return Reduced(
+            (residual**2).sum(1),
+            np.einsum("wri,wr->wi", columns, residual),
+            np.einsum("wri,wrj->wij", columns, columns),
+        )
+
+    def start(self):
+        return Model((), np.zeros(BASE), jnp.zeros((1, 12)), np.inf)
+
+    def sound(self, model):
+        return not self.unsound & {m.suspect for m in model.members}
+
+    def brakes(self, model):
+        return True
+
+    def fit(self, *members: Member | int) -> Model:
+        model = self.start()
+        for one in members:
+            model = self.with_member(model, one if isinstance(one, Member) else Member(one), np.zeros(1))
+        return self.refine(model)
+
+    def least(self, which: list[int]) -> float:
+        """Chi-square that is left by dense least squares without any prior."""
+        flat = self.columns[..., which].reshape(SAMPLES, -1)
+        return float(((flat @ np.linalg.lstsq(flat, self.y.ravel())[0] - self.y.ravel()) ** 2).sum())
+
+
+def suspects(model: Model) -> list[int]:
+    return [m.suspect for m in model.members]
+
+
+def off(**values: float) -> dict[Member, float]:
+    """Numbers by suspect: `off(s4=0.3)`."""
+    return {Member(int(name[1:])): value for name, value in values.items()}
+
+
+def trial(bench: Bench, model: Model, which: int) -> Trial:
+    refitted = bench.refine(bench.with_member(model, Member(which), np.zeros(1)))
+    return Trial(Member(which), refitted, 2 * (model.cost - refitted.cost))
+
+
+# --- pruning, rivals, beginnings, harm ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.98, [4]), (1.02, [4, 5])])
+def test_a_member_stays_that_saves_what_a_finding_must(share, kept):
+    bench = Bench(off(s4=0.3, s5=np.sqrt(share * LEAST / SIZE)))
+    model = _settle.pruned(bench, bench.fit(4, 5))
+    assert suspects(model) == kept
+    assert model.z[BASE] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(("disturbed", "kept"), [(0.0, [4]), (0.2, [])])
+def test_a_member_must_save_more_where_its_own_axis_is_disturbed(disturbed, kept):
+    """By a force that pulls one window this way and the next one that way; chi-square of 100 in either."""
+    bench = Bench(off(s4=0.1))
+    push = disturbed * (-1.0) ** np.arange(WINDOWS)
+    push -= push @ (bench.columns[..., 4] ** 2).sum(1) / SIZE  # it says nothing of the mean
+    bench.y = bench.y + push[:, None] * bench.columns[..., 4]
+    model = bench.fit(4)
+    assert 2 * (bench.fit().cost - model.cost) == pytest.approx(100.0, rel=0.05)
+    assert suspects(_settle.pruned(bench, model)) == kept
+
+
+def test_of_two_members_that_say_the_same_one_stays():
+    bench = Bench(off(s4=0.3), mixed(5, {4: 1.0}))
+    model = _settle.pruned(bench, bench.fit(4, 5))
+    assert suspects(model) == [5] and model.z[BASE] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(("far", "kept"), [(9.0, [4]), (11.0, [4, 5])])
+def test_a_refit_goes_on_unless_its_few_steps_promise_a_removal_that_is_dear(far, kept):
+    """To the end it would show that the member is idle."""
+    bench = Bench(off(s4=0.5))
+    bench.far = 0.5 * far * LEAST
+    assert suspects(_settle.pruned(bench, bench.fit(4, 5))) == kept
+
+
+@pytest.mark.parametrize(("unsound", "kept"), [({4}, [5]), ({4, 5}, [4, 5])])
+def test_a_member_that_means_nothing_goes_if_the_others_mean_something_without_it(unsound, kept):
+    bench = Bench(off(s4=0.3, s5=0.3))
+    bench.unsound = unsound
+    assert suspects(_settle.pruned(bench, bench.fit(4, 5))) == kept
+
+
+@pytest.mark.parametrize(
+    ("truth", "accepted", "members"),
+    [
+        (off(s5=0.3, s6=0.2), True, [5, 6]),
+        (off(s5=0.3, s6=0.2), False, [4, 6]),
+        (off(s4=0.3, s6=0.2), True, [4, 6]),
+    ],
+)
+def test_what_a_member_beat_is_weighed_once_more_beside_the_others(truth, accepted, members):
+    """The fourth is like the fifth and the sixth together, and beats each while neither is known."""
+    bench = Bench(truth, mixed(4, {5: 1.0, 6: 1.0, 7: 0.5}))
+    begun = bench.fit()
+    rounds = [Round(tuple(trial(bench, begun, i) for i in (4, 5, 6)), accepted, 1.0)]
+    model = _settle._reweighed(bench, bench.fit(4, 6), rounds, 1.0)
+    assert suspects(model) == members
+    flat = bench.columns[..., members].reshape(SAMPLES, -1)
+    assert np.allclose(model.z[BASE:], np.linalg.lstsq(flat, bench.y.ravel())[0], rtol=1e-3)
+
+
+def test_coefficients_and_members_that_stand_alone_are_not_weighed_once_more():
+    bench = Bench(off(s5=0.3, s6=0.2), mixed(0, {5: 1.0, 6: 1.0, 7: 0.5}))
+    rounds = [Round(tuple(trial(bench, bench.fit(), i) for i in (0, 5)), True, 1.0)]
+    for model in (bench.fit(0, 6), bench.fit(0)):
+        assert _settle._reweighed(bench, model, rounds, 1.0) is model
+    bench = Bench(off(s5=0.3))
+    rounds, alone = [Round(tuple(trial(bench, bench.fit(), i) for i in (7, 5)), True, 1.0)], bench.fit(7)
+    assert _settle._reweighed(bench, alone, rounds, 1.0) is alone
+
+
+@pytest.mark.parametrize("begun", [152.0, 176.0, 200.0])
+def test_a_beginning_is_moved_to_the_sample_that_costs_least(begun):
+    bench = Bench({Member(4, Beginning(0, 173.0)): 0.3, Member(5): 0.2})
+    model = bench.fit(5, Member(4, Beginning(0, begun)))
+    found = _settle._beginnings_refined(bench, model)
+    each = {float(t): bench.fit(5, Member(4, Beginning(0, float(t)))).cost for t in range(SAMPLES)}
+    assert found.members == (Member(5), Member(4, Beginning(0, min(each, key=lambda t: each[t]))))
+    assert found.cost == min(each.values()) and np.allclose(found.z[BASE:], [0.2, 0.3])
+
+
+def test_beginnings_that_coincide_part_only_where_there_is_room():
+    """There are three of four members: one more would be one too many."""
+    times = {4: 80.0, 5: 160.0, 6: 160.0, 7: 240.0}
+    bench = Bench({Member(i, Beginning(0, t)): 0.3 for i, t in times.items()})
+    members = [Member(i, Beginning(0, t)) for i, t in (times | {4: 83.0}).items()]
+    found = _settle._beginnings_refined(bench, bench.fit(*members))
+    assert {m.suspect: m.since and m.since.time for m in found.members} == times
+
+
+@pytest.mark.parametrize(("ratio", "kept"), [(0.94, [4]), (0.96, [4, 5, 6])])
+def test_a_member_goes_without_which_predictions_are_clearly_better(monkeypatch, ratio, kept):
+    """Without the fifth; the sixth was needed for nothing else. A member that is alone is another matter."""
+    bench = Bench(off(s4=0.3))
+    errors = {(4, 5, 6): 1.0, (4, 5): 1.0, (4, 6): ratio, (5, 6): 1.0}
+
+    def measured(bench, model, dense):
+        assert dense
+        return errors[tuple(suspects(model))]
+
+    monkeypatch.setattr(_settle, "gain_at_home", measured)
+    assert suspects(_settle._without_harm(bench, bench.fit(4, 5, 6), True)) == kept
+
+
+def test_settling_leaves_what_is_needed_and_the_coefficient_that_is_wrong(monkeypatch):
+    monkeypatch.setattr(_settle, "gain_at_home", lambda bench, model, dense: 1.0)
+    bench = Bench(off(s0=-0.3, s4=0.3))
+    found = bench.fit(5, 4)
+    model, dense, rounds = _settle.settled(bench, Found(found, bench.screen(found), (), ()))
+    assert (suspects(model), dense, len(rounds)) == ([4, 0], False, 1)
+    assert np.allclose(model.z, [0, 0, 0, 0, 0.3, -0.3])
+
+
+# --- coefficients of the file ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weight", [1.0, 100.0])
+def test_needed_changes_are_those_of_forward_selection_without_a_prior(weight):
+    """Beside a member that must always act, against dense least squares; one coefficient is stood for."""
+    rng = np.random.default_rng(1)
+    bench = Bench({}, right_angled() + rng.normal(scale=3.0, size=(WINDOWS, ROWS, SUSPECTS)))
+    bench.y = bench.columns @ np.array([0.4, 0.3, -0.06, 0.02, 0.5, 0.0, 0.0, 0.0])
+    model = bench.refine(dataclasses.replace(bench.fit(0, 4), weight=weight))
+    chosen: list[int] = []
+    while True:
+        saved = {
+            j: bench.least([0, 4, *chosen]) - bench.least([0, 4, *chosen, j])
+            for j in range(1, BASE)
+            if j not in chosen
+        }
+        best = max(saved, key=lambda j: saved[j])
+        if saved[best] < LEAST:
+            break
+        chosen.append(best)
+    assert chosen == [1, 2]
+    assert _coefficients._needed_changes(bench, model, 1.0) == chosen
+    phi = saved[best] / LEAST
+    assert _coefficients._needed_changes(bench, model, 1.01 * phi) == chosen
+    assert _coefficients._needed_changes(bench, model, 0.99 * phi) == [*chosen, best]
+
+
+@pytest.mark.parametrize(("value", "chosen"), [(0.99, []), (1.01, [2])])
+def test_a_coefficient_needs_to_change_if_that_saves_what_a_finding_must(value, chosen):
+    bench = Bench(off(s2=value * np.sqrt(LEAST / SIZE)))
+    assert _coefficients._needed_changes(bench, bench.fit(), 1.0) == chosen
+
+
+def test_two_wrong_coefficients_are_findings_and_three_a_recalibrated_file():
+    bench = Bench(off(s1=-0.2, s3=0.3, s0=0.03))
+    model, dense, rounds = _coefficients.settle(bench, bench.fit(), (), 1.0)
+    assert (suspects(model), dense) == ([3, 1], False)
+    assert np.allclose(model.z, [0, 0, 0, 0, 0.3, -0.2], atol=1e-6)
+    assert [r.trials[0].member.suspect for r in rounds] == [3, 1]
+    bench = Bench(off(s1=-0.2, s3=0.3, s0=0.2))
+    free = bench.fit()
+    assert _coefficients.settle(bench, free, (), 1.0) == (free, True, ())
+
+
+@pytest.mark.parametrize(("windows", "members"), [(8, []), (16, [0])])
+def test_a_coefficient_that_a_few_windows_pull_stays_as_filed(windows, members):
+    """A pull in k of n windows is worth ½ √(k / (1 - k / n)) standard errors: 1.6 and 2.6."""
+    bench = Bench({})
+    bench.y[10 : 10 + windows] = 2.0 * bench.columns[10 : 10 + windows, :, 0]
+    model, dense, _ = _coefficients.settle(bench, bench.fit(), (), 1.0)
+    assert (suspects(model), dense) == (members, False)
+
+
+ALL_ALIKE = mixed(4, {0: 1.0, 1: 1.0, 2: 1.0, 3: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("truth", "members"),
+    [
+        (off(s4=0.4), [4]),
+        (off(s4=0.4, s2=0.3), [4, 2]),
+        # Three are still wrong beside the cause.
+        (off(s0=0.1, s1=0.3, s2=0.5, s3=0.75), None),
+        # Each is off by too little for a change beside the cause. All are free at the price of a prior of 16;
+        # three numbers are worth 17.3: less than 4 * 9 - 16, and more than 4 * 7.3 - 16.
+        (off(s4=0.4, s0=0.03, s1=-0.03, s2=0.03, s3=-0.03), None),
+        (off(s4=0.4, s0=0.027, s1=-0.027, s2=0.027, s3=-0.027), [4]),
+    ],
+)
+def test_one_cause_that_does_what_many_coefficients_do_is_named_in_their_place(truth, members):
+    bench = Bench(truth, ALL_ALIKE)
+    free = bench.fit()
+    assert len(_coefficients._needed_changes(bench, free, 1.0)) > _coefficients.FEW
+    held = beside_file(bench, free, 1.0)
+    assert held[0].member == Member(4)
+    model, dense, rounds = _coefficients.settle(bench, free, held, 1.0)
+    if members is None:
+        assert (model, dense, rounds) == (free, True, ())
+        return
+    assert (suspects(model), dense) == (members, False)
+    assert rounds[0].accepted and rounds[0].trials[0].member == Member(4)
+    assert len(rounds) == len(members)  # one for the cause, one for each coefficient
+    assert np.allclose(model.z[:BASE], 0.0, atol=1e-6)
+    assert model.z[BASE] == pytest.approx(0.4, abs=0.01)
+
+
+def test_what_explains_more_stands_in_the_place_of_a_wrong_coefficient():
+    """A cause that is much like a coefficient; and the coefficient, where the log was made with that."""
+    like = mixed(5, {0: 1.0, 6: 0.3})
+    for truth, better in ((off(s5=0.3), 5), (off(s0=0.3), 0)):
+        bench = Bench(truth, like)
+        model, dense, (one,) = _coefficients.settle(bench, bench.fit(), (), 1.0)
+        assert (suspects(model), dense) == ([better], False)
+        assert one.trials[0].member == Member(better)
+        assert np.allclose(model.z, [0, 0, 0, 0, 0.3], atol=1e-6)
+
+
+def test_the_other_coefficients_may_bend_while_one_is_weighed_against_a_cause():
+    """The cause takes up a little that another one is off by, and explains the rest less well."""
+    like = mixed(5, {0: 0.3, 1: 0.05, 6: 0.02})
+    bench = Bench(off(s0=0.3, s1=0.05), like)
+    model, _, _ = _coefficients.settle(bench, bench.fit(), (), 1.0)
+    assert suspects(model) == [0]
+    # Held, 25 would be left beside the coefficient, and about 4 beside the cause.
+    left = [2 * bench.refine(bench.frozen(bench.fit(i))).cost for i in (0, 5)]
+    assert left == pytest.approx([25.0, 4.0], abs=0.5)
+
+
+@pytest.mark.parametrize(("before", "cost", "z"), [(1.1, 2.0, 0.5), (0.9, 1.0, 0.0)])
+def test_a_refit_that_ends_above_twice_the_cost_before_begins_anew(before, cost, z):
+    """It ends at a cost of 2 from where it was, and at 1 from neutral numbers."""
+
+    class Astray(Bench):
+        def refine(self, model, max_steps=25, rtol=1e-6):
+            return dataclasses.replace(model, cost=2.0 if model.z.any() else 1.0)
+
+    bench = Astray({})
+    fitted = _coefficients._refitted(bench, dataclasses.replace(bench.start(), z=np.full(BASE, 0.5)), before)
+    assert fitted.cost == cost and (fitted.z == z).all()
+
+
+# --- what is unknown ------------------------------------------------------------------------------
+
+FREEDOM, PHI = 1000.0, 2.0
+
+
+def dependence(dof: int = 0, shapes: int = 3, tied: tuple[str, ...] = ()) -> Dependence:
+    return Dependence(dof, ("u", "psi"), tied, 80.0, np.zeros((1, 1, shapes)), False)
+
+
+def judged_as(model: Model, white: bool = False) -> Judged:
+    none: Any = object.__new__(Knots)
+    return Judged(model, Reduced(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))), PHI, none, white)
+
+
+def rival_with(rest: float, found: tuple[Dependence, ...] = (dependence(),)) -> Any:
+    """The file with unknown dependences of three shapes that leave `rest`."""
+    bench = Bench({})
+    bench.freedom = FREEDOM
+    rival = Unnamed(bench)
+    vars(rival).update(rest=rest, dependences=found, judged=judged_as(bench.fit()))
+    return rival
+
+
+@pytest.mark.parametrize(
+    ("left", "share", "rest", "less"),
+    [
+        (10_000.0, 0.6, 5_990.0, True),
+        (10_000.0, 0.6, 6_010.0, False),
+        # By chance: ten times 3 + 12 shapes, times what is left per number and the noise.
+        (1_000.0, 0.9, 735.0, True),  # 1000 - 150 * 1.735 = 739.75
+        (1_000.0, 0.9, 745.0, False),  # 1000 - 150 * 1.745 = 738.25
+    ],
+)
+def test_unknown_dependences_must_leave_a_share_less_and_not_by_chance(left, share, rest, less):
+    assert rival_with(rest).leaves_less(left, share) == less
+    assert not rival_with(rest, ()).leaves_less(left, share)
+
+
+@pytest.mark.parametrize(
+    ("members", "left", "rest", "beats"),
+    [
+        (1, 5_000.0, 100.0, False),  # one name is never worse than none
+        (2, 5_000.0, 2_950.0, True),
+        (2, 5_000.0, 3_050.0, False),
+        (3, 5_000.0, 3_050.0, True),
+        (3, 5_000.0, 4_050.0, False),
+        (2, 490.0, 10.0, False),  # less than half of the noise
+        (2, 510.0, 10.0, True),
+    ],
+)
+def test_names_have_to_leave_less_than_unknown_dependences_alone(members, left, rest, beats):
+    """Two names by 0.6 of what they leave, more by 0.8."""
+    model = dataclasses.replace(Bench({}).fit(*range(members)), cost=0.5 * (FREEDOM + left))
+    assert rival_with(rest).beats(model) == beats
+
+
+@pytest.mark.parametrize(
+    ("beside", "which"), [((40.0, 33.0), 1), ((34.0, 33.0), 1), ((30.0, 33.0), 0), ((40.0, 36.0), None)]
+)
+def test_a_stand_in_costs_little_beside_what_it_stood_in_for(monkeypatch, beside, which):
+    """Of two members whose removal costs 100 as things are."""
+    monkeypatch.setattr(_unnamed, "cost_of_removal", lambda k, where, found: [(100.0, x) for x in beside])
+    bench = Bench({})
+    now = judged_as(bench.fit(4, 5))
+    assert _unnamed._stand_in(bench, now, (dependence(),)) == which
+    assert _unnamed._stand_in(bench, now, ()) is None
+    assert _unnamed._stand_in(bench, judged_as(bench.fit()), (dependence(),)) is None
+
+
+def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
+    """The sixth stood in; the fifth only took back what that spoilt, and is worth nothing by itself."""
+    bench = Bench(off(s4=0.3))
+    monkeypatch.setattr(_unnamed, "extended_by", lambda bench, model, dense: boat())
+    monkeypatch.setattr(_unnamed, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_unnamed, "_dependences", lambda bench, now, vehicle: (dependence(),))
+    shares = {4: 90.0, 5: 50.0, 6: 10.0}
+    monkeypatch.setattr(
+        _unnamed,
+        "cost_of_removal",
+        lambda k, where, found: [(100.0, shares[i]) for i in (4, 5, 6)[: len(where)]],
+    )
+    answer = _unnamed.with_unknown(bench, judged_as(bench.fit(4, 5, 6)), False, lambda words: None)
+    assert suspects(answer.model) == [4] and len(answer.unknown) == 1
+    white = judged_as(bench.fit(4, 5, 6), white=True)
+    assert _unnamed.with_unknown(bench, white, False, lambda words: None) == Answer(white, (), False)
+
+
+def test_what_a_model_leaves_beside_unknown_dependences(monkeypatch):
+    """1500 in all, of which a refit saves 20 and one with dependences 320; 1000 are noise: 200."""
+    monkeypatch.setattr(_unnamed, "explained", lambda knots, found: 320.0 if found else 20.0)
+    rival = rival_with(0.0)
+    model = dataclasses.replace(rival.bench.fit(), cost=750.0)
+    answer = Answer(judged_as(model), (dependence(),), False)
+    assert _unnamed.left_over(rival.bench, answer) == pytest.approx(200.0)
+    assert _unnamed.left_over(rival.bench, dataclasses.replace(answer, unknown=())) == pytest.approx(500.0)
+
+
+# --- the answer that is given ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("left", "unknown", "white", "members", "named"),
+    [
+        (5_000.0, (), False, 1, True),  # 3100 is more than 0.6 of it
+        (5_000.0, (dependence(),), False, 1, False),  # and less than 0.7
+        (5_200.0, (), False, 1, False),
+        (5_200.0, (), True, 1, True),
+        (5_200.0, (), False, 0, True),  # nothing of the file is changed by it
+    ],
+)
+def test_unknown_dependences_alone_are_the_answer_where_they_leave_clearly_less(
+    monkeypatch, left, unknown, white, members, named
+):
+    """They leave 3100."""
+    rival = rival_with(3_100.0)
+    bench = rival.bench
+    model = bench.fit(*range(4, 4 + members))
+    answer = Answer(judged_as(model, white), unknown, False)
+    rounds = (Round((trial(bench, bench.fit(), 4),), True, 1.0),)
+    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, False, rounds))
+    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
+    monkeypatch.setattr(_diagnose, "left_over", lambda bench, answer: left)
+    found = Found(model, bench.screen(model), (), ())
+    chosen, weighed = _diagnose._chosen(bench, rival, found, lambda words: None)
+    assert weighed == rounds
+    assert (chosen is answer) == named
+    assert named or (chosen.unknown == rival.dependences and not chosen.changed)
+
+
+def test_names_that_are_beaten_are_not_settled_first(monkeypatch):
+    rival = rival_with(100.0)
+    model = dataclasses.replace(rival.bench.fit(4, 5), cost=0.5 * (FREEDOM + 5_000.0))
+    monkeypatch.setattr(_diagnose, "settled", None)
+    found = Found(model, rival.bench.screen(model), (), ())
+    chosen, _ = _diagnose._chosen(rival.bench, rival, found, lambda words: None)
+    assert chosen.model is rival.judged.model and not chosen.changed
+
+
+def gain(ratio: float, interval: tuple[float, float] | None) -> Gain:
+    return Gain(5.0, None, None, ratio, interval, True, 60)
+
+
+@pytest.mark.parametrize(
+    ("members", "dense", "unknown", "home", "ratio", "note"),
+    [
+        ((4,), False, (), 0.9, 0.8, None),
+        ((4,), False, (), 1.1, 0.8, "What was named at first predicts the training log worse"),
+        ((), True, (), 1.1, 0.8, "The file as it was refitted at first predicts the training log worse"),
+        ((4,), False, (), 0.9, 0.97, "What was named at first buys nothing on test.csv; it was dropped."),
+        # What else is unknown is learned before the gain is asked for.
+        ((4,), False, (dependence(),), 0.9, 0.97, None),
+        ((), True, (), 0.9, 0.97, None),
+    ],
+)
+def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unknown, home, ratio, note):
+    rival = rival_with(0.0)
+    answer = Answer(judged_as(rival.bench.fit(*members)), unknown, dense)
+    measured = (gain(ratio, (ratio - 0.2, ratio + 0.2)), object.__new__(Predictions))
+    monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: home)
+    monkeypatch.setattr(_diagnose, "measured_gain", lambda *asked: measured)
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, a_log(2))
+    if note is None:
+        assert kept is answer and notes == []
+        assert known == (measured if members and not unknown else None)
+    else:
+        assert kept.model is rival.judged.model and known is None
+        assert len(notes) == 1 and notes[0].startswith(note)
+
+
+@pytest.mark.parametrize(("home", "kept"), [(0.89, 1), (0.91, 0)])
+def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(monkeypatch, home, kept):
+    """Without it 0.9 of the file's error is left; of what has no value of its own a note tells."""
+    term = learned_wrench("surge", ("u",), (), np.zeros(1), np.ones(1), 1.0, jax.random.key(0), 2)
+    bench = Bench({})
+    bench.vehicle = boat()
+    monkeypatch.setattr(_diagnose, "learn", lambda knots, found, thrusters: (term,))
+    monkeypatch.setattr(
+        _diagnose, "gain_at_home", lambda bench, model, dense, terms=(): home if terms else 0.9
+    )
+    answer = Answer(judged_as(bench.fit(4)), (dependence(0), dependence(1, shapes=0)), False)
+    terms, notes = _diagnose._learned(bench, answer, lambda words: None)
+    assert len(terms) == kept and all(one.target == "surge" for one in terms)
+    assert notes[0].startswith("sway: much more is missing where u, psi is large")
+    assert [note.startswith("What was learned of it predicts") for note in notes[1:]] == [True] * (1 - kept)
+    assert _diagnose._learned(bench, dataclasses.replace(answer, unknown=()), lambda words: None) == ((), [])
+
+
+WORSE, UNSURE = "predicts test.csv worse than the file does", "does not confirm this"
+
+
+@pytest.mark.parametrize(
+    ("interval", "changed", "said"),
+    [
+        ((1.01, 1.2), True, WORSE),
+        ((1.01, 1.2), False, WORSE),
+        ((0.9, 1.01), True, UNSURE),
+        ((0.9, 1.01), False, None),
+        ((0.9, 0.99), True, None),
+        (None, True, UNSURE),
+    ],
+)
+def test_a_reader_is_told_what_the_test_log_says(interval, changed, said):
+    diagnosis: Any = object.__new__(Diagnosis)
+    quiet = dict(test="test.csv", recalibrated=(), contradicted=None, misfit_after=1.0)
+    vars(diagnosis).update(quiet, gain=gain(0.95, interval))
+    answer = Answer(judged_as(Bench({}).fit()), (dependence(),), False)
+    notes = _diagnose._remarks(diagnosis, answer, changed)
+    assert len(notes) == (said is not None) and all(said in note for note in notes)
+
+
+def test_a_reader_is_told_what_else_stands_against_the_answer():
+    diagnosis: Any = object.__new__(Diagnosis)
+    loud = dict(test="test.csv", recalibrated=("one",), contradicted="Sensors disagree.", misfit_after=1e4)
+    vars(diagnosis).update(loud, gain=gain(0.5, (0.4, 0.6)))
+    answer = Answer(judged_as(Bench({}).fit()), (dependence(tied=("r",)),), True)
+    many, tied, contradicted, far = _diagnose._remarks(diagnosis, answer, True)
+    assert many.startswith("Many coefficients of the file are off together")
+    assert tied.startswith("surge: r would explain the missing wrench as well as one of u, psi;")
+    assert contradicted == "Sensors disagree." and "100 times the sensor noise" in far
