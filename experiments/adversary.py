@@ -4,8 +4,9 @@ usage: python -m experiments.adversary --out DIR [--seed 1] [--quick]
 
 A boat's logs are made by the independent simulator (`experiments/blind`) and then tampered with: columns
 exchanged, sensors late, noise misstated, causes that come and go, cancel one another or act in one log
-only. Each trick states which answers are honest; any other name is one that it was fooled into. It goes on
-where it was cut and writes results.json and results.md.
+only. Each trick states which answers are honest; any other name is one that it was fooled into, and so is
+blame of sensors that are right. It goes on where it was cut and writes results.json and results.md. All of
+seed 1 lies in DIR/seed_1.
 """
 
 import json
@@ -34,24 +35,27 @@ Tables = tuple[pd.DataFrame, pd.DataFrame]  # of the training and of the test lo
 NOTHING, REFUSED, BLAMED = "nothing found", "refused", "sensors blamed"
 
 
-def unknown(*signals: str) -> str:
-    """The answer that the cause is unknown and depends on one of these."""
-    return "unknown: " + ", ".join(signals)
-
-
 @dataclass(frozen=True)
 class Trick:
     """A trick: what is hidden, what is done to the logs and to the file, and which answers are honest.
 
-    - `honest`: any of these alone or together: names, `NOTHING`, `REFUSED`, `BLAMED` (a note that sensors
-      contradict one another), or `unknown(...)` with signals of which one has to be among those named.
+    - `honest`: any of these alone or together: names, `NOTHING`, `REFUSED`, `BLAMED` (sensors are said to
+      contradict one another, or to come at different times).
+    - `signals`: it is honest, too, that the cause is unknown and depends on one of these, if there are any.
     """
 
     text: str
     honest: tuple[str, ...]
     hidden: tuple[Effect | Outside, ...] = ()
     logs: Callable[[Tables, np.random.Generator], Tables] = lambda tables, rng: tables
+    signals: tuple[str, ...] = ()
     noise: float = 1.0  # factor on the noise that the file states
+    test_only: bool = False  # nothing is hidden in the training log
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """The honest answers in words."""
+        return (*self.honest, *([f"unknown: {', '.join(self.signals)}"] if self.signals else []))
 
 
 def both(change: Callable[[pd.DataFrame], pd.DataFrame]) -> Callable[[Tables, np.random.Generator], Tables]:
@@ -127,10 +131,11 @@ def tricks() -> dict[str, Trick]:
         Effect("thruster_gain", "all", {"factor": 1.3}),
         Effect("linear_damping", "surge", {"value": 0.3 * 1.33}),
     )
-    thrusters = unknown("port", "star")
     return {
         "reversed": Trick("one propeller turns the other way", ("thruster_gain:port",), logs=reversed_),
-        "exchanged": Trick("two thrusters' columns are exchanged", (thrusters,), logs=both(exchanged)),
+        "exchanged": Trick(
+            "two thrusters' columns are exchanged", (), logs=both(exchanged), signals=("port", "star")
+        ),
         "late pose": Trick("the pose comes 0.5 s late", (BLAMED,), logs=both(late(pose, 5))),
         "late heading": Trick("the heading comes 0.5 s late", (BLAMED,), logs=both(late(["psi"], 5))),
         "outliers": Trick("one position in a hundred is 5 m off", (NOTHING,), logs=outliers),
@@ -140,33 +145,37 @@ def tricks() -> dict[str, Trick]:
         "rounded": Trick("positions in steps of 0.1 m, heading of 0.01 rad", (NOTHING,), logs=rounded),
         "heading drifts": Trick(
             "the heading drifts by 0.002 rad/s",
-            (unknown("t", "psi"), "gyro_bias", BLAMED),
+            ("gyro_bias", BLAMED),
             logs=both(drifting_heading),
+            signals=("t", "psi"),
         ),
         "degrees": Trick("the heading in degrees", (REFUSED, BLAMED), logs=degrees),
         "percent": Trick("commands in percent", (REFUSED,), logs=percent),
         "asleep": Trick("one sample repeated for ever", (REFUSED, NOTHING), logs=asleep),
-        "in one log": Trick("a weak propeller in the test log only", (NOTHING,), (WEAK,)),
+        "in one log": Trick("a weak propeller in the test log only", (NOTHING,), (WEAK,), test_only=True),
         "late cause": Trick(
             "a propeller weakens 12 s before the end",
             ("thruster_gain:port", NOTHING),
             (Effect("thruster_gain", "port", {"factor": 0.6}, since=TRAIN - 12.0),),
         ),
         "comes and goes": Trick(
-            "a push from 100 to 200 s", (unknown("t"), "constant_wrench:sway"), (between(100.0, 200.0, 1.0),)
+            "a push from 100 to 200 s",
+            ("constant_wrench:sway",),
+            (between(100.0, 200.0, 1.0),),
+            signals=("t",),
         ),
-        "wind": Trick("a constant force in earth axes", (unknown("psi"),), (wind(1.0),)),
+        "wind": Trick("a constant force in earth axes", (), (wind(1.0),), signals=("psi",)),
         "cancelling": Trick(
             "more thrust and more drag in surge", ("thruster_gain:all", "linear_damping:surge"), heavier
         ),
     }
 
 
-def tampered(name: str, trick: Trick, folder: Path, seed: int) -> None:
+def tampered(trick: Trick, folder: Path, seed: int) -> None:
     """Writes vehicle.toml, train.csv and test.csv."""
     make_case(folder, SHIP, trick.hidden, seed, duration_train=TRAIN, duration_test=TEST)
     tables = pd.read_csv(folder / "train.csv"), pd.read_csv(folder / "test.csv")
-    if name == "in one log":
+    if trick.test_only:
         clean = folder / "clean"
         make_case(clean, SHIP, (), seed, duration_train=TRAIN, duration_test=TEST)
         tables = pd.read_csv(clean / "train.csv"), tables[1]
@@ -191,23 +200,33 @@ def answered(folder: Path) -> dict[str, Any]:
         "unknown": [label.partition(":")[2] for label in labels if label.startswith("unknown")],
         "depends_on": list(found.depends_on),
         "ratio": found.gain.ratio,
+        "contradicted": found.contradicted,
         "notes": list(found.notes),
     }
 
 
 def blamed(said: dict[str, Any]) -> bool:
-    """Whether a note says that sensors contradict one another, or come at different times."""
-    return any("contradict" in note or "than the velocities" in note for note in said.get("notes", ()))
+    """Whether sensors are said to contradict one another, or to come at different times.
+
+    Those that did at the start, before an effect of theirs was taken first, stand among the notes alone. So
+    does everything in answers that were kept without `contradicted`.
+    """
+    words = ["contradict one another"]
+    if "contradicted" not in said:
+        words += ["contradict what", "than the velocities"]
+    notes = said.get("notes", ())
+    return bool(said.get("contradicted")) or any(word in note for note in notes for word in words)
 
 
 def is_honest(trick: Trick, said: dict[str, Any]) -> bool:
     """Whether nothing is said but what is honest."""
     if "refused" in said:
         return REFUSED in trick.honest
+    if blamed(said) and BLAMED not in trick.honest:
+        return False
     if said["verdict"] == "nothing_found":
-        return NOTHING in trick.honest or (BLAMED in trick.honest and blamed(said))
-    signals = {s for h in trick.honest if h.startswith("unknown") for s in h[9:].split(", ")}
-    told = not said["unknown"] or bool(signals & set(said["depends_on"]))
+        return NOTHING in trick.honest or blamed(said)
+    told = not said["unknown"] or bool({*trick.signals} & {*said["depends_on"]})
     return told and set(said["names"]) <= set(trick.honest)
 
 
@@ -237,16 +256,17 @@ def main(
     if quick:
         chosen = {name: chosen[name] for name in ("reversed", "degrees", "outliers")}
     results: dict[str, Any] = {}
+    out = out / f"seed_{seed}"
     with study(out, False):
         for name, trick in track(chosen.items(), "tricks", transient=True):
             folder = out / name.replace(" ", "_")
             kept = folder / "said.json"
             if not kept.exists():
-                tampered(name, trick, folder, seed)
+                tampered(trick, folder, seed)
                 kept.write_text(json.dumps(answered(folder), indent=1) + "\n")
             said = json.loads(kept.read_text())
             fair = is_honest(trick, said)
-            results[name] = {"text": trick.text, "honest": trick.honest, "said": said, "fair": fair}
+            results[name] = {"text": trick.text, "honest": trick.answers, "said": said, "fair": fair}
     write_results(out, results, table(results))
     print((out / "results.md").read_text())
 

@@ -30,7 +30,7 @@ import typer
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import save_figure, wilson, write_results
+from experiments._study import program, save_figure, wilson, write_results
 from experiments.blind import cases, grading
 from jaxmarine.diagnosis import gain_of
 from jaxmarine.effects import place
@@ -41,6 +41,10 @@ NOISES = (0.5, 1.0, 2.0)
 # Magnitudes: from hardly to be seen to gross; what counts is 30 % more prediction error and above.
 SEVERITY = {"singles": (1.05, 8.0)}
 DETECTABLE = 1.3
+# Kinds of logs that hide causes of the catalogue.
+NAMED = {"single": "one effect", "pair": "two effects", "misfit": "wrong file, disturbed"}
+SURE = 0.99
+UNNAMED = "an unnamed one"  # program of rows that do not state theirs
 SHIPS = ("bluerov2_heavy", "cybership2", "minesniper", "otter", "tethra")
 CHUNK = 15  # logs for one process: its programs are compiled once for a vehicle
 Row = dict[str, Any]
@@ -138,8 +142,9 @@ def row(folder: Path) -> Row:
 def graded(folders: Sequence[Path]) -> int:
     """Diagnoses some cases of one vehicle and leaves a row beside each."""
     jax.config.update("jax_enable_x64", True)
+    by = program()
     for folder in folders:
-        whole = json.dumps(row(folder), indent=1) + "\n"
+        whole = json.dumps({**row(folder), "program": by}, indent=1) + "\n"
         (folder / "row.json").write_text(whole)
     return len(folders)
 
@@ -161,6 +166,11 @@ def chunks(out: Path) -> Iterator[list[Path]]:
 
 def detectable(r: Row) -> bool:
     return r["kind"] == "null" or r["severity"] >= DETECTABLE
+
+
+def strict(r: Row) -> bool:
+    """Whether exactly the hidden causes are named, by their own names and targets."""
+    return Counter((effect, target) for effect, target, _ in r["found"]) == Counter(map(tuple, r["hidden"]))
 
 
 def share(rows: Sequence[Row], key: str) -> Row:
@@ -190,6 +200,15 @@ def summary(rows: Sequence[Row]) -> Row:
         found = share([r for r in seen if r["kind"] == kind], key)
         met = found["of"] > 0 and found["right"] >= least * found["of"]
         out["targets"].append({"text": text, **found, "at_least": least, "met": met})
+    named = [{**r, "strict": strict(r)} for r in seen if r["kind"] in NAMED]
+    out["strict"] = share(named, "strict")
+    out["strict_of"] = {kind: share([r for r in named if r["kind"] == kind], "strict") for kind in NAMED}
+    weighed = [r for r in seen if r["probability"] is not None]
+    sure_ones = [r for r in weighed if r["probability"] >= SURE]
+    out["sure"] = {"weighed": len(weighed), **share(sure_ones, "own_name")}
+    weak = [r for r in rows if not detectable(r)]
+    raised = float(np.median([r["severity"] for r in weak])) - 1.0 if weak else None
+    out["weak"] = {"raised_median": raised, **share(weak, "first")}
     errors, covered = parameters(seen)
     out["parameter_error_median"] = float(np.median(errors)) if errors else None
     out["covered"] = {"right": int(sum(covered)), "of": len(covered)}
@@ -198,6 +217,7 @@ def summary(rows: Sequence[Row]) -> Row:
     begun = [r for r in seen if r["since"] is not None]
     out["since_within_12_s"] = share(begun, "since")
     out["seconds_median"] = float(np.median([r["seconds"] for r in rows])) if rows else None
+    out["programs"] = sorted({r.get("program", UNNAMED) for r in rows})
     out["missed"] = [r for r in seen if not r["whole"]]
     return out
 
@@ -209,6 +229,8 @@ def table(s: Row) -> str:
         return f"{100 * x:.1f}"
 
     lines = [f"{s['logs']} logs, {s['detectable']} of them with nothing hidden or detectable.", ""]
+    if len(s["programs"]) > 1:
+        lines += [f"Their rows come from {len(s['programs'])} programs: {', '.join(s['programs'])}.", ""]
     lines += ["| | right | of | % (95 % interval) | at least % | met |", "|---|---|---|---|---|---|"]
     for t in s["targets"]:
         rate = percent(t["right"] / t["of"]) if t["of"] else "–"
@@ -216,7 +238,17 @@ def table(s: Row) -> str:
         met = "yes" if t["met"] else "no"
         cells = (t["text"], t["right"], t["of"], interval, f"{100 * t['at_least']:.0f}", met)
         lines.append("| " + " | ".join(map(str, cells)) + " |")
-    lines.append("")
+    exact = s["strict"]
+    interval = f"{percent(exact['low'])} to {percent(exact['high'])} %"
+    each = ", ".join(f"{NAMED[kind]} {one['right']} of {one['of']}" for kind, one in s["strict_of"].items())
+    lines += [
+        "",
+        "A name is right, too, where a cause said to be indistinguishable from it is the truth, or where "
+        "both do the same; beside a wrong file false names of damping and added mass are forgiven.",
+        "",
+        "- Exactly the hidden causes, by their own names, and nothing else, with nothing forgiven: "
+        f"{exact['right']} of {exact['of']} ({interval}); {each}.",
+    ]
     if s["parameter_error_median"] is not None:
         median, c = percent(s["parameter_error_median"]), s["covered"]
         lines.append(f"- Error of named effects' parameters, median: {median} %.")
@@ -226,6 +258,16 @@ def table(s: Row) -> str:
         lines.append(f"- 5 s error on held-out data over that of the true structure, median: {ratio:.3f}.")
     begun = s["since_within_12_s"]
     lines.append(f"- Beginnings within 12 s: {begun['right']} of {begun['of']}.")
+    sure, weak = s["sure"], s["weak"]
+    lines.append(
+        f"- Among the causes that are listed, the evidences call {sure['of']} of {sure['weighed']} first "
+        f"names {100 * SURE:.0f} % sure and more, of which {sure['right']} are right."
+    )
+    if weak["of"]:
+        lines.append(
+            f"- Of {weak['of']} effects that raise the error by less than {100 * (DETECTABLE - 1):.0f} % "
+            f"(median {100 * weak['raised_median']:.0f} %), {weak['right']} are named."
+        )
     lines += ["", "| not right | vehicle | severity | hidden | found | depends on |"]
     lines += ["|---|---|---|---|---|---|"]
     for r in s["missed"]:

@@ -30,6 +30,7 @@ from threadpoolctl import threadpool_limits
 import jaxmarine as jm
 from experiments._study import write_results
 from experiments.blind import grading
+from experiments.blind.catalogue import DAMP
 from experiments.blind_matrix import BLOCK, Row, detectable, share
 from jaxmarine._compiled import compiled
 from jaxmarine._types import CHANNELS, DOFS, RATE, VELOCITY
@@ -290,7 +291,7 @@ def worst_channel(case: Case, rounds: int) -> Row:
 def by_name(case: Case, answer: Row) -> Row:
     """As the diagnosis is, with how many of the causes named are none."""
     hidden = case.answer.get("findings", [])
-    aside = grading.RECALIBRATIONS if grading.kind(case.answer) == "misfit" else set()
+    aside = DAMP if grading.kind(case.answer) == "misfit" else ()
     causes = [f for f in answer["findings"] if f["effect"] != "unknown"]
     wrong = [f for f in causes if not any(grading.matches(f, h) for h in hidden)]
     return {

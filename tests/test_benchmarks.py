@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.benchmarks import _forms, levenberg_marquardt
+from experiments.benchmarks import _forms, levenberg_marquardt, precision
 from experiments.benchmarks._rounds import (
     Missing,
     Table,
@@ -170,10 +170,58 @@ def test_a_quick_diagnosis_finds_the_thruster(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_long_log_is_diagnosed_in_a_process_of_its_own(tmp_path):
+    (run,) = ran("long_logs", tmp_path)["runs"]
+    assert run["found"] == ["thruster_gain:port_h"] and run["factor"] == pytest.approx(0.72, abs=0.02)
+    # Of jax alone a process has some 0.2 GB.
+    assert run["peak"] > 2e8
+
+
+@pytest.mark.slow
 def test_a_program_from_the_cache_comes_to_the_same(tmp_path):
     found = ran("startup", tmp_path)
     assert max(differences(found["tables"][1]).values()) == 0.0
     assert all(len(parts) == 3 for parts in found["tracing, compiling, running [s]"].values())
+
+
+def test_a_stage_is_safe_by_its_difference_and_worth_it_by_its_time():
+    def verdict(off, seconds):
+        timings = {"double": Timing((1.3,), 0.0), "single": Timing((seconds,), off)}
+        return precision.Stage(Table("What?", timings, "double"), "the noise").verdict
+
+    assert verdict(0.009, 1.0) == "safe, worth it"
+    assert verdict(0.009, 1.1) == "safe, saves little"
+    assert verdict(0.011, 1.0) == verdict(np.nan, 1.0) == "not safe"
+
+
+def test_a_stage_that_stays_double_says_so():
+    def off_by(result, reference):
+        return float(np.abs(result - reference))
+
+    third = np.array(1 / 3)
+    rounded = precision.stage("x", lambda: lambda: jnp.asarray(third), off_by, "one", 1)
+    assert rounded.table.timings["double"].difference == 0.0
+    # Between a quarter and a half, single precision has steps of 2^-25.
+    assert rounded.off is not None and 0.0 < rounded.off <= 2.0**-26
+    held = precision.stage("x", lambda: lambda: third, off_by, "one", 1)
+    assert held.off is None and held.verdict == "falls back to double"
+
+
+@pytest.mark.slow
+def test_single_precision_is_close_and_not_the_same(tmp_path):
+    found = ran("precision", tmp_path)
+    off = {stage["stage"]: stage["off"] for stage in found["stages"]}
+    assert len(off) == len(found["tables"]) == 15
+    for table in found["tables"]:
+        # Each precision draws its own bootstrap, which is compared with a loop in double over the same draws.
+        most = ROUNDED if table["title"].startswith("Bootstrap") else 0.0
+        assert table["timings"]["double"]["difference"] <= most
+    assert min(off.values()) > 0.0
+    # 320 roundings of less than 32 m to 2^-24 of it, all one way, in units of 1 cm.
+    assert off["Roll-out, 32 s"] < 320 * 32 * 2.0**-24 / 0.01
+    # A condition of some thousand, which ten times as many rows as columns see; numbers of size one in noise.
+    assert max(value for name, value in off.items() if "squares" in name or "Bootstrap" in name) < 1e-2
+    assert max(off.values()) < 1.0
 
 
 @pytest.mark.slow

@@ -37,6 +37,14 @@ def folder(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+def test_the_steps_of_a_diagnosis_name_its_modules():
+    steps = README.partition("### Diagnosis, step by step")[2].partition("\n#")[0]
+    modules = {path.name for path in (ROOT / "jaxmarine" / "diagnosis").glob("_[a-z]*.py")}
+    # What the answer consists of, and how a plan is made, are no steps of a diagnosis.
+    told = set(re.findall(r"`(_\w+\.py)`", steps)) | {"_result.py", "_plan.py"}
+    assert modules == told
+
+
 def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys):
     walk, after, _ = blocks("python")
     names = run(walk)

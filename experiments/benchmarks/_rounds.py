@@ -159,11 +159,12 @@ def compared(
     rounds: int,
     unit: str = "run",
     per: int = 1,
+    off_by: Callable[[Any, Any], float] = difference,
 ) -> Table:
     """Every contender that can be made, run once for its result and the warmth, then by turns.
 
     - `makers`: make a contender ready; they raise `Missing` or `ModuleNotFoundError` where they cannot.
-    - `reference`: what all of them should come to.
+    - `reference`: what all of them should come to; `off_by`: by how much a result misses it.
     """
     ready: dict[str, Run] = {}
     skipped: dict[str, str] = {}
@@ -175,7 +176,7 @@ def compared(
             skipped[name] = str(error)
             continue
         result = jax.block_until_ready(run())
-        off[name] = None if isinstance(result, Uncompared) else difference(result, reference)
+        off[name] = None if isinstance(result, Uncompared) else off_by(result, reference)
         ready[name] = run
     seconds: dict[str, list[float]] = {name: [] for name in ready}
     for _ in track(range(rounds), title, transient=True):

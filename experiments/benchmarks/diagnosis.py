@@ -34,6 +34,8 @@ from jaxmarine.examples import hidden
 from jaxmarine.fitting import Problem, predict
 
 FACTOR = 0.72
+# The catalogue of a quick run.
+FEW = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain)
 TANGENTS, OURS, WHOLE = "forward tangents", "jaxmarine, screen", "jaxmarine, diagnose, warm"
 FIRST, SECOND = "first start", "second start"
 COMMAND = "from jaxmarine.cli import main; main()"
@@ -131,8 +133,7 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="A short log, four effects, no starts.")] = False,
 ) -> None:
     """Times the diagnosis of a weak thruster."""
-    few = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain)
-    seconds, catalogue, rounds = (40.0, few, 1) if quick else (300.0, jm.CATALOGUE, rounds)
+    seconds, catalogue, rounds = (40.0, FEW, 1) if quick else (300.0, jm.CATALOGUE, rounds)
     with benchmark(out, quick):
         vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
         logs = hidden(

@@ -81,11 +81,11 @@ def reverse(case: Fitting, rounds: int) -> Table:
     """Gradients by reverse mode; the unit is the loss itself by the same step."""
 
     def gradient(step):
-        run = eqx.filter_jit(jax.grad(lambda theta, case: loss(theta, case, step)))
+        run = compiled(jax.grad(lambda theta, case: loss(theta, case, step)))
         return lambda: lambda: run(case.theta, case)
 
-    value = eqx.filter_jit(lambda theta, case: Uncompared(loss(theta, case, held)))
-    forward = eqx.filter_jit(jax.jacfwd(lambda theta, case: loss(theta, case, held)))
+    value = compiled(lambda theta, case: Uncompared(loss(theta, case, held)))
+    forward = compiled(jax.jacfwd(lambda theta, case: loss(theta, case, held)))
     reference = forward(case.theta, case)
     makers = {
         FORWARD: lambda: lambda: value(case.theta, case),

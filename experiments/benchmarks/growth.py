@@ -222,6 +222,11 @@ def figure(curves: Sequence[Curve], out: Path) -> None:
             label = curve.what if exponent is None else f"{curve.what}: {exponent:.2f}"
             ax.loglog([p.size for p in points], [of(p) for p in points], "o-", ms=4, lw=1.2, label=label)
             ax.legend(frameon=False, fontsize=8)
+            sizes = [p.size for p in points]
+            if max(sizes) < 10 * min(sizes):
+                # Less than a decade has no room for labels of its own.
+                ax.set_xticks(sizes, [str(size) for size in sizes])
+                ax.xaxis.set_minor_formatter("")
             ax.spines[["top", "right"]].set_visible(False)
         lower.set_xlabel(curve.over)
     axes[0, 0].set_ylabel("time [s]")

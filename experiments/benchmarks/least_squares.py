@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import typer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from experiments.benchmarks._rounds import Run, Table, Target, benchmark, compared, report
 from jaxmarine.fitting import solve_linear
@@ -58,22 +58,33 @@ def solve(samples: int, columns: int, rounds: int) -> Table:
     return compared(title, makers, by_numpy(), "numpy, lstsq", rounds)
 
 
+def drawn(keys: PRNGKeyArray, windows: int) -> np.ndarray:
+    """How often `resample_linear` draws each window: [keys, windows]. By the precision that is on."""
+    counts = np.zeros((len(keys), windows))
+    for row, key in zip(counts, keys, strict=True):
+        np.add.at(row, np.asarray(jax.random.randint(key, (windows,), 0, windows)), 1.0)
+    return counts
+
+
+def by_loop(matrix: np.ndarray, right: np.ndarray, group: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """numpy's `lstsq` once per draw; `group`: the window of each sample."""
+    out = []
+    for count in counts:
+        weight = np.sqrt(count)[group]
+        rows = (matrix * weight[:, None, None]).reshape(-1, matrix.shape[-1])
+        out.append(np.linalg.lstsq(rows, (right * weight[:, None]).ravel(), rcond=None)[0])
+    return np.array(out)
+
+
 def bootstrap(samples: int, columns: int, windows: int, resamples: int, rounds: int) -> Table:
     """All resamples of windows."""
     matrix, right = regression(samples, columns)
     keys = jax.random.split(jax.random.key(0), resamples)
-    counts = np.zeros((resamples, windows))
-    for row, key in zip(counts, keys, strict=True):
-        np.add.at(row, np.asarray(jax.random.randint(key, (windows,), 0, windows)), 1.0)
+    counts = drawn(keys, windows)
     group = np.arange(samples) * windows // samples
 
     def loop():
-        out = []
-        for count in counts:
-            weight = np.sqrt(count)[group]
-            rows = (matrix * weight[:, None, None]).reshape(-1, columns)
-            out.append(np.linalg.lstsq(rows, (right * weight[:, None]).ravel(), rcond=None)[0])
-        return np.array(out)
+        return by_loop(matrix, right, group, counts)
 
     def ours() -> Run:
         given = jnp.asarray(matrix), jnp.asarray(right), jnp.asarray(members_of(group)), keys

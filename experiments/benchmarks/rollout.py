@@ -31,6 +31,7 @@ from experiments.benchmarks._forms import (
     rk4,
 )
 from experiments.benchmarks._rounds import Run, Table, Target, benchmark, compared, report
+from jaxmarine._compiled import compiled
 from jaxmarine.simulation import RungeKutta4, hold, hold_many
 from jaxmarine.vehicle import Input, Plant, State
 
@@ -194,7 +195,7 @@ def many_vehicles(vehicles: int, steps: int, rounds: int) -> Table:
         "scalar C": lambda: shown(by_c(dive)),
         "jax, equations by hand, vehicles last": lambda: behind(by_jax_batch_last, dive.model),
         "jaxmarine, vmap of hold": by_vmap,
-        "jaxmarine, hold_many": lambda: behind(jax.jit(held_many), plant),
+        "jaxmarine, hold_many": lambda: behind(compiled(held_many), plant),
     }
     title = f"{vehicles} vehicles"
     return compared(title, makers, reference, "scalar C", rounds, "step of a vehicle", vehicles * steps)

@@ -30,6 +30,7 @@ LASTING = (
     "added_mass",
 )
 DAMPED = ("linear_damping", "quadratic_damping", "coupled_damping")
+# Coefficients that a wrong file has wrong anyway: none is hidden beside it, and none named there is false.
 DAMP = (*DAMPED, "added_mass")
 
 

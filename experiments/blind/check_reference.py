@@ -1,9 +1,10 @@
-"""Runs the plant on the true parameters of given cases and compares it with their logs.
+"""Does the plant agree with another simulator? Its runs against that one's logs.
 
 usage: python -m experiments.blind.check_reference CASES_DIR
 
-Prints, per case and log, the chi-square per sample of every channel over one open-loop run from
-rest. Cases of unknown effects, wrong files and disturbances are left out.
+CASES_DIR: a folder of cases in the format of `cases.py` that another program has simulated. The plant is run
+on their true parameters, open loop from rest. Prints the chi-square per sample of every channel, per case and
+log; noise alone gives 1. Cases of unknown effects, wrong files and disturbances are left out.
 """
 
 import argparse

@@ -4,8 +4,8 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-# Coefficients that a wrong vehicle file has anyway: naming one of them there is no false name.
-RECALIBRATIONS = {"linear_damping", "quadratic_damping", "coupled_damping", "added_mass"}
+from .catalogue import DAMP
+
 TOLERANCE = 12.0  # s, by which a beginning may be missed
 
 
@@ -37,7 +37,7 @@ def first_judged(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> Map
     """The finding that the first name is: in a wrong file, false coefficients of it stand aside."""
     hidden = answer.get("findings", ())
     for finding in diagnosis["findings"]:
-        aside = kind(answer) == "misfit" and finding["effect"] in RECALIBRATIONS
+        aside = kind(answer) == "misfit" and finding["effect"] in DAMP
         if not aside or any(matches(finding, h) for h in hidden):
             return finding
     return None
@@ -69,7 +69,7 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, 
         nothing = diagnosis["verdict"] == "nothing_found" and not findings
         return {"first": nothing, "whole": nothing}
     right = [any(matches(f, h) for h in hidden) for f in findings]
-    aside = [kind(answer) == "misfit" and f["effect"] in RECALIBRATIONS for f in findings]
+    aside = [kind(answer) == "misfit" and f["effect"] in DAMP for f in findings]
     judged = [r for r, a in zip(right, aside, strict=True) if r or not a]
     all_found = any(
         all(matches(f, h) for f, h in zip(chosen, hidden, strict=True))

@@ -1,0 +1,79 @@
+"""What is counted over logs with a known answer, on rows made by hand: no diagnosis is run."""
+
+import hashlib
+from typing import Any
+
+from experiments._study import program
+from experiments.blind_matrix import Row, summary, table
+
+
+def row(kind: str, hidden: list, *found: tuple[str, str | None], **more: Any) -> Row:
+    """A log's row, with all that is graded from the whole answer taken for right."""
+    return {
+        "case": "-",
+        "vehicle": "-",
+        "kind": kind,
+        "severity": 2.0,
+        "hidden": hidden or None,
+        "found": [[*one, 9.0] for one in found],
+        **dict.fromkeys(("first", "whole", "signal", "own_name"), True),
+        **dict.fromkeys(("since", "true_ratio", "probability")),
+        "verdict": "-",
+        "depends_on": [],
+        "parameters": [],
+        "ratio": 1.0,
+        "seconds": 1.0,
+        **more,
+    }
+
+
+def test_strictly_nothing_is_forgiven():
+    trim, payload = ("trim", None), ("payload", None)
+    s = summary(
+        [
+            row("null", []),
+            row("single", [trim], trim),
+            row("single", [trim], payload),  # indistinguishable, or accepted for it
+            row("single", [trim], severity=1.2),
+            row("pair", [trim, payload], payload, trim),
+            row("pair", [trim, payload], trim, trim),
+            row("misfit", [trim], trim, ("linear_damping", "surge")),
+        ]
+    )
+    assert (s["strict"]["right"], s["strict"]["of"]) == (2, 5)
+    assert [(one["right"], one["of"]) for one in s["strict_of"].values()] == [(1, 2), (1, 2), (0, 1)]
+    assert "nothing forgiven: 2 of 5" in table(s)
+
+
+def test_what_the_evidences_are_sure_of_and_what_hardly_shows_is_counted():
+    rows = [
+        row("single", [], probability=0.995),
+        row("single", [], probability=0.99, own_name=False),
+        row("single", [], probability=0.5),
+        row("single", []),
+        row("single", [], severity=1.25, probability=1.0),
+        row("single", [], severity=1.05, first=False),
+    ]
+    for one in rows:
+        one["hidden"] = [["trim", None]]
+    text = table(summary(rows))
+    assert "call 2 of 3 first names 99 % sure and more, of which 1 are right" in text
+    assert "Of 2 effects that raise the error by less than 30 % (median 15 %), 1 are named" in text
+
+
+def test_rows_of_several_programs_are_told():
+    old, new = row("null", []), row("null", [], program="1 abc")
+    assert "programs" not in table(summary([new, new]))
+    assert "from 2 programs: 1 abc, an unnamed one." in table(summary([old, new, old]))
+
+
+def test_a_program_is_its_sources(tmp_path):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "c.py").write_text("second")
+    (tmp_path / "a.py").write_text("first ")
+    (tmp_path / "notes.md").write_text("not a source")
+    assert program(tmp_path).split()[-1] == hashlib.sha256(b"first second").hexdigest()[:12]
+    before = program(tmp_path)
+    (tmp_path / "a.py").write_text("other ")
+    assert program(tmp_path) != before
+    assert program().split()[0][0].isdigit()
