@@ -23,7 +23,6 @@ from ..fitting import (
     Cut,
     Problem,
     Room,
-    Screening,
     Segments,
     Task,
     coefficient_name,
@@ -155,7 +154,7 @@ class Workbench:
         # No more than samples: a knot without one would stand for nothing.
         self.knots = min(max(2, round(data.length / KNOT)), data.windows.step.shape[1])
         self._own = segments(vehicle, data.logs)
-        self._screened: tuple[Model, Screening] | None = None
+        self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -168,6 +167,7 @@ class Workbench:
             jnp.asarray(start_precision(vehicle.free)),
             measured_channels(windows),
             jnp.asarray(split),
+            apart=False,
         )
 
     @functools.cached_property
@@ -500,22 +500,11 @@ class Workbench:
 
         Of each group of windows; of each window, where there are not many.
         """
-        found, n = self._screening(model), self.layout.size + BEGUN
-        first = self.group_windows
-        return Reduced(
-            np.add.reduceat(np.asarray(found.chi2)[: self.count], first),
-            np.add.reduceat(np.asarray(found.g)[: self.count, :n], first, axis=0),
-            np.asarray(found.h)[: len(first)],
-        )
+        return self._screening(model)[0]
 
     def with_knots(self, model: Model) -> Reduced:
         """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window."""
-        found, own = self._screening(model), self._own_columns(model)
-        return Reduced(
-            np.asarray(found.chi2)[: self.count],
-            np.asarray(found.g)[: self.count] @ own,
-            np.asarray(found.h_own)[: self.count, : own.shape[1], : own.shape[1]],
-        )
+        return self._screening(model)[1]
 
     def _own_columns(self, model: Model) -> np.ndarray:
         """The model's z and the knots among the columns of a screening."""
@@ -526,7 +515,7 @@ class Workbench:
         out[len(known) :, known.shape[1] :] = np.eye(more)
         return out
 
-    def _screening(self, model: Model) -> Screening:
+    def _screening(self, model: Model) -> tuple[Reduced, Reduced]:
         """The last one is kept: screening and missing wrench are commonly asked of the same model."""
         if self._screened is not None and self._screened[0] is model:
             return self._screened[1]
@@ -555,8 +544,19 @@ class Workbench:
             jnp.asarray(self._groups),
             self._most_groups,
         )
-        self._screened = (model, found)
-        return found
+        chi2, g = np.asarray(found.chi2)[: self.count], np.asarray(found.g)[: self.count]
+        first, n, width = self.group_windows, size + BEGUN, asked.shape[1]
+        of_groups = Reduced(
+            np.add.reduceat(chi2, first),
+            np.add.reduceat(g[:, :n], first, axis=0),
+            np.asarray(found.h)[: len(first)],
+        )
+        # A copy without the room that was not taken, which is most of what a long log needs of memory.
+        of_windows = Reduced(
+            chi2, g @ asked, np.ascontiguousarray(np.asarray(found.h_own)[: self.count, :width, :width])
+        )
+        self._screened = (model, (of_groups, of_windows))
+        return of_groups, of_windows
 
     def check(self, model: Model) -> Check:
         """What the logs tell of the file's coefficients, at the model."""

@@ -204,7 +204,7 @@ def evaluated(
     size, value = scales.size[places], np.asarray(freed.start)[places]
     n = len(names)
     outer = np.outer(size, size)
-    there = information[used, :n, :n].sum(0) * outer
+    there = information.sum(0)[:n, :n] * outer
     eigenvalues, vectors = np.linalg.eigh(there - spurious(task, refined)[:n, :n] * outer)
     eigenvalues = np.maximum(eigenvalues, 0.0)
     covariance = (vectors / np.maximum(eigenvalues, _FLOOR)) @ vectors.T

@@ -16,6 +16,8 @@ the curvature that Gauss-Newton leaves out. For 110 parameters it is many times 
 through the solver.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -23,13 +25,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..physics import Drive, apply, attitude_rate, rotation
+from ..physics import Asked, Drive, Late, Thrust, apply, attitude_rate, delayed, rotation, step_lengths
 from ..vehicle import Input, Plant, State
 from ._rollout import (
+    BLOCK,
+    CHUNK,
     Problem,
     fluid_memory,
+    in_parts,
+    joined,
     of_segment,
     roll_out,
+    slides_of,
     start_of,
     thrust_of,
     tracks_of,
@@ -37,7 +44,7 @@ from ._rollout import (
 )
 from ._windows import Windows
 
-# Windows that are linearised together.
+# Windows that are linearised together: the derivatives of some hundred steps stay in the processor's cache.
 BATCH = 10
 # Columns with several entries that are multiplied one by one; with more of them all are.
 FEW = 4
@@ -94,32 +101,48 @@ class Columns(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """Per window: chi-square and the normal equations, `x` for the initial state, `z` for the parameters."""
+    """Per window: chi-square and the normal equations, `x` for the initial state, `z` for the parameters.
+
+    - `h_zz`: of each window by itself, or their sum (`Problem.apart`).
+    """
 
     chi2: Float[Array, " windows"]
     g_x: Float[Array, "windows 12"]
     g_z: Float[Array, "windows z"]
     h_xx: Float[Array, "windows 12 12"]
     h_xz: Float[Array, "windows 12 z"]
-    h_zz: Float[Array, "windows z z"]
+    h_zz: Float[Array, "groups z z"]
 
     @eqx.filter_jit
     def reduced(self):
         """Chi-square, gradient and information of z with each window's initial state eliminated."""
-        return jax.lax.map(_eliminated, self)
+        own = jnp.arange(len(self.chi2)) if len(self.h_zz) > 1 else jnp.zeros(len(self.chi2), int)
+
+        def one(h, now):
+            window, group = now
+            chi2, gradient, explained = _eliminated(*window)
+            return _added(h, -explained, group), (chi2, gradient)
+
+        h, (chi2, gradient) = jax.lax.scan(one, self.h_zz, (self.of_windows, own))
+        return chi2, gradient, h
+
+    @property
+    def of_windows(self):
+        """All but the information of z."""
+        return self.chi2, self.g_x, self.g_z, self.h_xx, self.h_xz
 
 
-def _eliminated(window: Statistics):
-    """`reduced` for one window.
+def _eliminated(chi2, g_x, g_z, h_xx, h_xz):
+    """Chi-square and gradient of z of one window without its initial state, and the information that goes.
 
     Window by window, because jaxlib shares a batch of small factorisations out over its thread pool from
     inside that pool, and waits: two at a time hang a pool of two threads (jaxlib 0.10).
     """
-    chol = jnp.linalg.cholesky(window.h_xx)
-    right = jnp.concatenate([window.h_xz, window.g_x[:, None]], axis=1)
+    chol = jnp.linalg.cholesky(h_xx)
+    right = jnp.concatenate([h_xz, g_x[:, None]], axis=1)
     solved = jax.scipy.linalg.solve_triangular(chol, right, lower=True)
     a, b = solved[:, :-1], solved[:, -1]
-    return window.chi2 - b @ b, window.g_z - b @ a, window.h_zz - a.T @ a
+    return chi2 - b @ b, g_z - b @ a, a.T @ a
 
 
 def _flat(state: State) -> Array:
@@ -138,59 +161,150 @@ def _contract(by_constants, slopes, segment):
     return out
 
 
-class _Driven(eqx.Module):
-    """Derivatives of the thrusters' thrust with respect to z, in two factors: all of them, for every sample
-    of a long log, are more than a memory holds.
+class _Rows(eqx.Module):
+    """What the thrust at some samples comes of: one row each, or all rows of all logs.
 
-    - `mean`, `instant`: of the thrust over a hold and at its sample with respect to each kind of constant of
-      that thruster in each segment; `slopes`: of those constants with respect to z.
-    - `touched`: whether any is not zero.
+    - `late`, `d_late`: the commands that act, and their derivatives with respect to the delay.
+    - `before`: where the lag stands; `dt`: length of the hold [s].
     """
 
-    mean: Float[Array, "logs steps constants thrusters"]
-    instant: Float[Array, "logs steps constants thrusters"]
-    slopes: Float[Array, "constants thrusters z"]
+    late: Late
+    d_late: Late
+    before: Float[Array, "*rows thrusters"]
+    dt: Float[Array, "*rows"]
+    segment: Int[Array, "*rows"]
+
+
+class _Driven(eqx.Module):
+    """Derivatives of the thrusters' thrust with respect to z, made window by window: those of every sample of
+    a long log are more than a memory holds.
+
+    A thruster's thrust depends on its own constants only, so one tangent for each kind of constant serves all
+    thrusters. What a constant does lasts beyond its segment, by the lag.
+
+    - `slopes`: of each segment's constants with respect to z.
+    - `touched`: whether any is not zero.
+    - `begun`: at the first sample of each window, of where the lag stands, with respect to the constants.
+    """
+
+    drives: Drive
+    rows: _Rows
+    slopes: Float[Array, "segments constants thrusters z"]
     touched: Bool[Array, ""]
+    begun: Float[Array, "windows segments constants thrusters"]
 
     @classmethod
-    def of(cls, problem: Problem, drives: Drive, slopes: Drive) -> "_Driven":
-        """For the drive constants of each segment, and their derivatives [segments, thrusters, z].
+    def of(cls, problem: Problem, drives: Drive, slopes: Drive, push: Thrust) -> "_Driven":
+        """For the drive constants of each segment, their derivatives [segments, thrusters, z], and thrust."""
+        records, thrusters = problem.records, drives.max_thrust.shape[-1]
 
-        A thruster's thrust depends on its own constants only, so one tangent per kind and segment serves
-        all thrusters.
-        """
-        leaves, structure = jax.tree.flatten(drives)
-        kinds, (segments, thrusters) = len(leaves), leaves[0].shape
-        unit = np.eye(kinds)
+        def one(t, commands, segment):
+            delay = jnp.broadcast_to(of_segment(drives, segment).delay, commands.shape)
+            return jax.jvp(lambda d: delayed(t, commands, d), (delay,), (jnp.ones_like(delay),))
 
-        def along(tangent):
-            return jax.jvp(lambda d: thrust_of(problem, d), (drives,), (tangent,))[1]
-
-        def one(s, out):
-            """With what the constants of one segment do."""
-            here = (jnp.arange(segments) == s).astype(leaves[0].dtype)
-            shape = (kinds, segments, thrusters)
-            basis = [jnp.broadcast_to(jnp.outer(row, here)[..., None], shape) for row in unit]
-            values = jax.vmap(along)(jax.tree.unflatten(structure, basis))
-            return tuple(
-                jax.lax.dynamic_update_slice_in_dim(old, jnp.moveaxis(new, 0, 2), s * kinds, axis=2)
-                for old, new in zip(out, (values.mean, values.instant), strict=True)
-            )
-
-        by_segment = jnp.stack(jax.tree.leaves(slopes), axis=1)
-        by_z = by_segment.reshape(segments * kinds, *by_segment.shape[2:])
+        late, d_late = jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+        rows = _Rows(late, d_late, push.before, jax.vmap(step_lengths)(records.t), records.segment)
+        by_z = jnp.stack(jax.tree.leaves(slopes), axis=1)
         touched = (by_z != 0).any()
-        nothing = jnp.zeros((*problem.records.t.shape, segments * kinds, thrusters))
-        # Most causes are none of a thruster.
-        met = jnp.where(touched, problem.records.segment.max() + 1, 0)
-        mean, instant = jax.lax.fori_loop(0, met, one, (nothing, nothing))
-        return cls(mean, instant, by_z, touched)
+        shape = (problem.windows.count, *by_z.shape[:-1])
+        # Most causes are none of a thruster, and without a lag nothing lasts.
+        begun = jax.lax.cond(
+            touched & (drives.lag > 0).any(),
+            lambda: _begun(drives, rows, problem.windows, shape),
+            lambda: jnp.zeros(shape),
+        )
+        return cls(drives, rows, by_z, touched, begun)
 
-    def at(self, windows: Windows, twice: bool) -> Float[Array, "points thrusters z"]:
+    def at(self, windows: Windows, begun, twice: bool) -> Float[Array, "points thrusters z"]:
         """At every step of a window: of the mean thrust, and `twice` of that at the samples behind it."""
-        both = (self.mean, self.instant) if twice else (self.mean,)
-        here = jnp.concatenate([one[windows.log, windows.step] for one in both])
-        return jnp.einsum("pct,ctz->ptz", here, self.slopes)
+        rows = jax.tree.map(lambda a: a[windows.log, windows.step], self.rows)
+        own, by_constants, by_before = _tangents(self.drives, rows, len(self.slopes))
+
+        def step(lag, now):
+            after, decay = now
+            return decay * lag + after, lag
+
+        follow = own * by_constants.after[:, None], by_before.after[:, None, None]
+        _, lag = jax.lax.scan(step, begun, follow)
+        here = [
+            own * at_once[:, None] + lasting[:, None, None] * lag
+            for at_once, lasting in zip(by_constants[: 1 + twice], by_before[: 1 + twice], strict=True)
+        ]
+        return jnp.einsum("pskt,sktz->ptz", jnp.concatenate(here), self.slopes)
+
+
+class _Pushed(NamedTuple):
+    """Of thrust: mean over the hold, that at its sample, where the lag stands after it, what is asked for."""
+
+    mean: Array
+    instant: Array
+    after: Array
+    goal: Array
+
+
+def _tangents(drives: Drive, rows: _Rows, segments: int) -> tuple[Array, _Pushed, _Pushed]:
+    """Derivatives of the thrust at some rows.
+
+    Which segment each row is in [rows, segments, 1, 1]; derivatives [rows, constants, thrusters] with respect
+    to each kind of constant there, while where the lag stands before the hold is held; and [rows, thrusters]
+    with respect to the latter.
+    """
+    shape = rows.before.shape
+    here = jax.tree.map(lambda a: jnp.broadcast_to(a, shape), of_segment(drives, rows.segment))
+
+    def pushed(drive, late, before):
+        asked = Asked.of(drive, late, rows.dt[:, None])
+        push = asked.thrust(before)
+        return _Pushed(push.mean, push.instant, asked.after(before), asked.goal)
+
+    def along(drive, before):
+        late = jax.tree.map(lambda a: a * drive.delay, rows.d_late)
+        return jax.jvp(pushed, (here, rows.late, rows.before), (drive, late, before))[1]
+
+    nothing = jnp.zeros(shape)
+    leaves, structure = jax.tree.flatten(here)
+    units = np.eye(len(leaves))[..., None, None]
+    basis = jax.tree.unflatten(structure, [jnp.broadcast_to(one, (len(one), *shape)) for one in units])
+    by_constants = jax.vmap(along, in_axes=(0, None), out_axes=1)(basis, nothing)
+    by_before = along(jax.tree.map(jnp.zeros_like, here), jnp.ones(shape))
+    own = jax.nn.one_hot(rows.segment, segments, dtype=nothing.dtype)[:, :, None, None]
+    return own, by_constants, by_before
+
+
+def _begun(drives: Drive, rows: _Rows, windows: Windows, shape: tuple[int, ...]) -> Array:
+    """Derivatives [windows, segments, constants, thrusters] of where the lag stands at the windows' first
+    samples, by one pass over all logs.
+    """
+    logs, steps = rows.segment.shape
+    count, blocks = shape[0], -(-steps // BLOCK)
+    # The window that begins at a sample; those that only fill arrays up repeat the last one.
+    first = jnp.full((logs, steps), count).at[windows.log, windows.step[:, 0]].min(jnp.arange(count))
+    first = jnp.pad(first, ((0, 0), (0, blocks * BLOCK - steps)), constant_values=count)
+
+    def in_blocks(a):
+        a = jnp.pad(a, [(0, 0), (0, blocks * BLOCK - a.shape[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")
+        return a.reshape(logs * blocks, BLOCK, *a.shape[2:])
+
+    def block(carry, now):
+        rows, first, fresh = now
+        own, by_constants, by_before = _tangents(drives, rows, shape[1])
+        lag, out = carry
+        lag = jnp.where(fresh, own[0] * by_constants.goal[:1], lag)
+
+        def row(carry, now):
+            lag, out = carry
+            after, decay, first = now
+            # A sample at which no window begins goes into the row behind the last.
+            out = jax.lax.dynamic_update_index_in_dim(out, lag, first, axis=0)
+            return (decay * lag + after, out), None
+
+        follow = own * by_constants.after[:, None], by_before.after[:, None, None], first
+        return jax.lax.scan(row, (lag, out), follow)[0], None
+
+    fresh = np.arange(logs * blocks) % blocks == 0
+    begin = jnp.zeros(shape[1:]), jnp.zeros((count + 1, *shape[1:]))
+    (_, out), _ = jax.lax.scan(block, begin, (jax.tree.map(in_blocks, rows), in_blocks(first), fresh))
+    return out[:-1]
 
 
 def _exponential(f: Array, split) -> tuple[Array, Array]:
@@ -229,9 +343,16 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    one, windows = _each(problem, affine, delta)
-    out = jax.lax.map(one, _filled(windows, len(delta)), batch_size=BATCH)
-    return jax.tree.map(lambda a: a[: len(delta)], out)
+    given = affine.acts.shape[-1]
+    groups = len(delta) if problem.apart else 1
+    group = jnp.arange(len(delta)) if problem.apart else jnp.zeros(len(delta), int)
+
+    def one(h, stats: Statistics, group):
+        return _added(h, stats.h_zz, group), stats.of_windows
+
+    nothing = jnp.zeros((groups + 1, given, given))
+    h, of_windows = _swept(problem, affine, delta, 0, (group, groups), one, nothing)
+    return Statistics(*of_windows, h_zz=h[:-1])
 
 
 class Screening(eqx.Module):
@@ -265,41 +386,57 @@ def screening(
     - `group`: of each window; windows of the group with the number `groups` are left out.
     """
     given = affine.acts.shape[-1]
-    one, windows = _each(problem, affine, delta, knots)
-    filled = _filled((windows, group), len(delta))
-    *batches, group = jax.tree.map(lambda a: a.reshape(len(a) // BATCH, BATCH, *a.shape[1:]), filled)
-    group = jnp.where(jnp.arange(group.size).reshape(group.shape) < len(delta), group, groups)
 
-    def add(h, now):
-        """One window to its group. Row by row: a scatter would copy."""
-        stats, group = now
-        chi2, gradient, information = _eliminated(stats)
-        before = jax.lax.dynamic_index_in_dim(h, group, keepdims=False)
-        h = jax.lax.dynamic_update_index_in_dim(h, before + information[:given, :given], group, 0)
+    def one(h, stats: Statistics, group):
+        chi2, gradient, explained = _eliminated(*stats.of_windows)
+        information = stats.h_zz - explained
+        h = _added(h, information[:given, :given], group)
         return h, (chi2, gradient, own.T @ information @ own)
 
-    def batch(h, now):
-        (windows,), group = now
-        return jax.lax.scan(add, h, (jax.vmap(one)(windows), group))
-
-    # A group more, for what is left out.
-    h, each = jax.lax.scan(batch, jnp.zeros((groups + 1, given, given)), (batches, group))
-    chi2, g, h_own = jax.tree.map(lambda a: a.reshape(a.shape[0] * BATCH, *a.shape[2:])[: len(delta)], each)
+    nothing = jnp.zeros((groups + 1, given, given))
+    h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, (group, groups), one, nothing)
     return Screening(chi2, g, h, h_own)
 
 
-def _filled(windows, count: int):
-    """Filled up to whole batches by the last one, so that no shorter batch is compiled as well.
+def _added(h: Float[Array, "groups z z"], more: Float[Array, "z z"], group) -> Float[Array, "groups z z"]:
+    """One window to its group. Row by row: a scatter would copy."""
+    before = jax.lax.dynamic_index_in_dim(h, group, keepdims=False)
+    return jax.lax.dynamic_update_index_in_dim(h, before + more, group, 0)
 
-    In batches the derivatives of some hundred steps stay in the processor's cache, and their memory does not
-    grow with the length of the logs.
+
+def _swept(problem: Problem, affine: Affine, delta, knots: int, group, add, total):
+    """All windows added up one by one, and what `add` gives for each.
+
+    - `group`: number of each window, and the one for windows that only fill a batch up.
+    - `add(total, statistics, group)`: the total with one window more, and what is kept of the window.
     """
-    more = -count % BATCH
-    return jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], more, axis=0)]), windows)
+    roll, one, begun = _each(problem, affine, knots)
+    count = len(delta)
+    chunk = min(CHUNK, -(-count // BATCH) * BATCH)
+    number, left_out = group
+    # What fills the last chunk up is left out.
+    number = jnp.concatenate([number, jnp.full(-count % chunk, left_out)])
+
+    def of_batch(total, now):
+        windows, number = now
+        return jax.lax.scan(lambda total, each: add(total, *each), total, (jax.vmap(one)(windows), number))
+
+    def of_chunk(total, now):
+        index, number = now
+        rolled = roll(*jax.tree.map(lambda a: a[index], (problem.windows, delta, begun)))
+        return jax.lax.scan(of_batch, total, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, number)))
+
+    chunks = in_parts(jnp.arange(count), chunk), in_parts(number, chunk)
+    total, each = jax.lax.scan(of_chunk, total, chunks)
+    return total, jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), each)
 
 
-def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
-    """A function that gives the statistics of one window, and its arguments for all windows."""
+def _each(problem: Problem, affine: Affine, knots: int):
+    """What is asked of each window in turn.
+
+    A function that rolls some windows out, which takes windows, `delta` and what the thrusters' lag is like
+    where they begin; one that gives the statistics of one window from that; and that for all windows.
+    """
     theta, acts = affine.theta, affine.acts
     given = acts.shape[-1]
     count = given + 6 * knots
@@ -316,11 +453,10 @@ def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
-    driven = _Driven.of(problem, plants.drive, drive_slopes)
+    push, slides = thrust_of(problem, plants.drive), slides_of(problem, plants)
+    driven = _Driven.of(problem, plants.drive, drive_slopes, push)
     columns = Columns.of(affine.columns)
     lagged, d_lagged = fluid_memory(problem, plants)
-    tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
-    log, step = problem.windows.log[:, None], problem.windows.step
     rows = np.array(problem.channels, int)
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
@@ -337,19 +473,19 @@ def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
         )
         return nu_dot, slopes, plant.mobility(drive)
 
-    def by_thrusters(by_thrust, windows):
+    def by_thrusters(by_thrust, windows, begun):
         """What the balance has of z by the thrusters, at every step of a window, or twice at every step."""
         # Most causes are none of a thruster; the predicate is the same for all windows of a batch.
         return jax.lax.cond(
             driven.touched,
-            lambda: by_thrust @ driven.at(windows, len(by_thrust) > steps),
+            lambda: by_thrust @ driven.at(windows, begun, len(by_thrust) > steps),
             lambda: jnp.zeros((*by_thrust.shape[:2], given)),
         )
 
-    def tangents(windows, x, drive, lagged, segment, d_lagged):
+    def tangents(windows, begun, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
         nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
-        by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows)
+        by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows, begun)
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
         nu_z = -inverse @ by_z
@@ -393,7 +529,7 @@ def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
         return value, by_x + by_nu_dot @ nu_x, by_z
 
     def one(now):
-        windows, track, delta, states, after, d_slow = now
+        windows, delta, begun, track, states, after, d_slow = now
 
         def start(delta):
             return _flat(start_of(windows, delta, track.lagged[0]))
@@ -424,10 +560,10 @@ def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
             # Both sets of points in one call: the derivatives of the balance are compiled once.
             at_sample = (x, track.instant, track.lagged, track.segment, d_lagged)
             points = jax.tree.map(lambda *parts: jnp.concatenate(parts), at_middle, at_sample)
-            both = tangents(windows, *points)
+            both = tangents(windows, begun, *points)
             (_, nu_x, nu_z), seen = [part[:steps] for part in both], [part[steps:] for part in both]
         else:
-            _, nu_x, nu_z = tangents(windows, *at_middle)
+            _, nu_x, nu_z = tangents(windows, begun, *at_middle)
             seen = jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, count))
         a, b = propagators(middle, track.dt, nu_x, nu_z)
         value, h_x, h_z = sensed(x, track.segment, *seen)
@@ -453,12 +589,18 @@ def _each(problem: Problem, affine: Affine, delta, knots: int = 0):
             h_zz=h[12:, 12:],
         )
 
-    def followed(windows, track, delta):
-        first = start_of(windows, delta, track.lagged[0])
-        return roll_out(problem, plants, track, first, follow=True)
+    def roll(windows, delta, begun):
+        """All at once: of a stiff vehicle this is one short step after another, in which few windows take as
+        long as many.
+        """
+        tracks = tracks_of(problem, windows, push, slides, lagged)
 
-    # All windows at once: of a stiff vehicle this is one short step after another, in which few windows take
-    # as long as many.
-    states, after = jax.vmap(followed)(problem.windows, tracks, delta)
+        def followed(windows, track, delta):
+            first = start_of(windows, delta, track.lagged[0])
+            return roll_out(problem, plants, track, first, follow=True)
 
-    return one, (problem.windows, tracks, delta, states, after, d_lagged[log, step])
+        states, after = jax.vmap(followed)(windows, tracks, delta)
+        d_slow = d_lagged[windows.log[:, None], windows.step]
+        return windows, delta, begun, tracks, states, after, d_slow
+
+    return roll, one, driven.begun

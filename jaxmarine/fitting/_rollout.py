@@ -24,6 +24,11 @@ from ._windows import Records, Windows
 # keeps the elimination regular where a component was not measured; the tight one holds locked axes.
 LOOSE, TIGHT = 1e3, 1e-6
 
+# Windows that are rolled out together at most, so that memory hardly grows with the length of the logs.
+CHUNK = 640
+# Samples of a log that are looked at together.
+BLOCK = 512
+
 # Sensors that show less of a velocity than this share of it do not tell what it was.
 LEAST_SHOWN = 1e-3
 
@@ -37,6 +42,7 @@ class Problem(eqx.Module):
     - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
     - `channels`: those that are measured in any window (`measured_channels`); the others have no rows.
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
+    - `apart`: whether the information of each window is asked for, or their sum.
     """
 
     plant_of: PlantOf
@@ -45,6 +51,7 @@ class Problem(eqx.Module):
     start_precision: Float[Array, "12"]
     channels: tuple[int, ...] = eqx.field(static=True)
     split: int | Int[Array, ""] = 1
+    apart: bool = eqx.field(static=True, default=True)
 
     @property
     def accelerations(self) -> bool:
@@ -137,20 +144,26 @@ def fluid_memory(problem: Problem, plants: Plant):
         return plant.relative(attitude, _true_velocity(plant, attitude, logged))
 
     # Taken as measured: what a change of the current does to the past of a window is left out.
-    relative = jax.lax.stop_gradient(
-        jax.vmap(jax.vmap(through_water))(records.attitude, records.velocity, records.segment)
+    logged = jax.tree.map(
+        lambda a: in_parts(a.reshape(-1, *a.shape[2:]), BLOCK),
+        (records.attitude, records.velocity, records.segment),
     )
+    relative = jax.lax.map(lambda block: jax.vmap(through_water)(*block), logged)
+    relative = joined(relative, records.t.size).reshape(*records.t.shape, 6)
+    relative = jax.lax.stop_gradient(relative)
 
     def filtered(lags):
         def one(dt, velocity, segment):
-            decay = jnp.exp(-dt[:, None] / lags[segment])
-            between = 0.5 * (velocity + jnp.concatenate([velocity[1:], velocity[-1:]]))
+            def step(carry, now):
+                z, before = carry
+                dt, velocity, segment = now
+                between = 0.5 * (before + velocity)
+                z = between + (z - between) * jnp.exp(-dt / lags[segment])
+                return (z, velocity), z
 
-            def step(z, now):
-                decay, velocity = now
-                return velocity + (z - velocity) * decay, z
-
-            return jax.lax.scan(step, velocity[0], (decay, between))[1]
+            begin = velocity[0], velocity[0]
+            _, z = jax.lax.scan(step, begin, (dt[:-1], velocity[1:], segment[:-1]))
+            return jnp.concatenate([velocity[:1], z])
 
         return jax.vmap(one)(records.dt, relative, records.segment)
 
@@ -167,13 +180,13 @@ class Track(eqx.Module):
     dt: Array
 
 
-def tracks_of(problem: Problem, plants: Plant, push: Thrust, lagged) -> Track:
-    """The tracks of all windows, stacked."""
-    records, log, step = problem.records, problem.windows.log[:, None], problem.windows.step
+def tracks_of(problem: Problem, windows: Windows, push: Thrust, slides: Slide | None, lagged) -> Track:
+    """The tracks of some windows, stacked; the thrust, slides and fluid memory are those of all logs."""
+    records, log, step = problem.records, windows.log[:, None], windows.step
     t, dt = records.t[log, step], records.dt[log, step]
     commands = records.commands[log, step, : push.mean.shape[-1]]
     common = (commands, records.wrench[log, step], t)
-    slide = jax.tree.map(lambda a: a[log, step], slides_of(problem, plants))
+    slide = jax.tree.map(lambda a: a[log, step], slides)
     return Track(
         over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),
         instant=Input(push.instant[log, step], *common, slide=slide),
@@ -204,6 +217,17 @@ def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow
     return jax.lax.scan(step, start, track)[1]
 
 
+def in_parts(a: Array, size: int) -> Array:
+    """Rows in parts of a size, filled up by the last row, so that no shorter part is compiled as well."""
+    filled = jnp.concatenate([a, jnp.repeat(a[-1:], -len(a) % size, axis=0)])
+    return filled.reshape(len(filled) // size, size, *a.shape[1:])
+
+
+def joined(parts: Array, count: int) -> Array:
+    """The first rows of all parts."""
+    return parts.reshape(parts.shape[0] * parts.shape[1], *parts.shape[2:])[:count]
+
+
 @compiled
 def predict(problem: Problem, theta, delta):
     """Predicted channels of every window [windows, steps, 18] and the residuals, weighted.
@@ -211,8 +235,8 @@ def predict(problem: Problem, theta, delta):
     - `theta` [segments, parameters]; `delta` [windows, 12]: changes of the initial states (`State.moved`).
     """
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
+    push, slides = thrust_of(problem, plants.drive), slides_of(problem, plants)
     lagged = fluid_memory(problem, plants)[0]
-    tracks = tracks_of(problem, plants, thrust_of(problem, plants.drive), lagged)
 
     def one(windows, track, delta):
         states, _ = roll_out(problem, plants, track, start_of(windows, delta, track.lagged[0]), follow=False)
@@ -223,5 +247,11 @@ def predict(problem: Problem, theta, delta):
 
         return jax.vmap(show)(states, track.instant, track.segment)
 
-    channels = jax.vmap(one)(problem.windows, tracks, delta)
-    return channels, wrapped(channels - problem.windows.measured) * problem.windows.weight
+    def some(index):
+        here, moved = jax.tree.map(lambda a: a[index], (problem.windows, delta))
+        return jax.vmap(one)(here, tracks_of(problem, here, push, slides, lagged), moved)
+
+    windows, count = problem.windows, problem.windows.count
+    channels = jax.lax.map(some, in_parts(jnp.arange(count), min(count, CHUNK)))
+    channels = joined(channels, count)
+    return channels, wrapped(channels - windows.measured) * windows.weight

@@ -1,8 +1,11 @@
 """The classical terms: frames, rigid body, added mass, Coriolis, restoring, damping, actuators."""
 
+from ._actuators import Asked as Asked
 from ._actuators import Curve as Curve
 from ._actuators import Drive as Drive
+from ._actuators import Late as Late
 from ._actuators import Thrust as Thrust
+from ._actuators import delayed as delayed
 from ._actuators import step_lengths as step_lengths
 from ._actuators import thrust as thrust
 from ._body import Load as Load

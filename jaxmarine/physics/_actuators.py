@@ -56,8 +56,16 @@ def step_lengths(t: Times) -> Times:
     return jnp.concatenate([steps, steps[-1:]])
 
 
-def _delayed(t: Times, commands: Commands, delay: Commands) -> tuple[Commands, Commands, Commands]:
-    """The command `delay` seconds earlier: mean and slope [1/s] over each hold, and at each sample.
+class Late(eqx.Module):
+    """What commands were some time before: `mean` and `slope` [1/s] over each hold, `now` at each sample."""
+
+    mean: Commands
+    slope: Commands
+    now: Commands
+
+
+def delayed(t: Times, commands: Commands, delay: Commands) -> Late:
+    """The commands `delay` seconds earlier.
 
     Mean and slope (of the straight line with the same first moment) come from running integrals of the
     staircase, which is exact at any sampling and differentiable in the delay. Before the log the first
@@ -92,7 +100,9 @@ def _delayed(t: Times, commands: Commands, delay: Commands) -> tuple[Commands, C
         now = jnp.searchsorted(times, start + 1e-9, side="right") - 1
         return mean, jnp.where(delay > 0.0, slope, 0.0), c[jnp.clip(now, 0, len(c) - 1)]
 
-    return jax.vmap(one, in_axes=1, out_axes=1)(integral, moment, delay, commands)
+    # One thruster after another: for all at once a long log would need four times the memory.
+    columns = jax.lax.map(lambda column: one(*column), (integral.T, moment.T, delay.T, commands.T))
+    return Late(*(a.T for a in columns))
 
 
 def _goal(drive: Drive, c: Commands) -> Commands:
@@ -113,11 +123,57 @@ class Thrust(eqx.Module):
 
     - `mean` [N] and `slope` [N/s] over the hold: the straight line with the same impulse and first moment.
     - `instant` [N]: at the sample itself, just after the command has changed.
+    - `before` [N]: where the lag stands at the sample, which is what the hold begins from.
     """
 
     mean: Commands
     slope: Commands
     instant: Commands
+    before: Commands
+
+
+class Asked(eqx.Module):
+    """Thrust that is asked for over each hold, and the first-order lag that answers it.
+
+    - `goal` [N], `rise` [N/s]: mean and slope over the hold; `now` [N]: at its sample.
+    - `first`, `last` [N]: at its ends, late by the lag; `decay`: over the hold, of what differs from that.
+    - `dt` [s]: length of the hold.
+    """
+
+    goal: Float[Array, "*times thrusters"]
+    rise: Float[Array, "*times thrusters"]
+    now: Float[Array, "*times thrusters"]
+    lag: Float[Array, "*times thrusters"]
+    dt: Float[Array, "*times 1"]
+    first: Float[Array, "*times thrusters"]
+    last: Float[Array, "*times thrusters"]
+    decay: Float[Array, "*times thrusters"]
+
+    @classmethod
+    def of(cls, drive: Drive, late: Late, dt: Float[Array, "times 1"]) -> "Asked":
+        """One row per sample: constants of the thrusters, what their commands were, length of the hold."""
+        goal, rise = jax.jvp(lambda c: _goal(drive, c), (late.mean,), (late.slope,))
+        # Keeps the derivative finite; exp(-dt/1e-9) is zero.
+        decay = jnp.exp(-dt / jnp.maximum(drive.lag, 1e-9))
+        lag = jnp.maximum(drive.lag, 0.0)
+        first, last = goal - rise * dt / 2 - rise * lag, goal + rise * dt / 2 - rise * lag
+        return cls(goal, rise, _goal(drive, late.now), drive.lag, dt, first, last, decay)
+
+    def after(self, before: Float[Array, "*times thrusters"]) -> Float[Array, "*times thrusters"]:
+        """Where the lag stands at the end of the hold: its answer to the line, and a decaying rest."""
+        return self.last + (before - self.first) * self.decay
+
+    def thrust(self, before: Commands) -> Thrust:
+        """From where the lag stands at the sample."""
+        dt, decay, lag = self.dt, self.decay, jnp.maximum(self.lag, 0.0)
+        rest = before - self.first
+        moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
+        return Thrust(
+            mean=self.goal - self.rise * lag + rest * lag / dt * (1.0 - decay),
+            slope=self.rise + 12.0 * rest * moment / dt**3,
+            instant=jnp.where(self.lag > 0.0, before, self.now),
+            before=before,
+        )
 
 
 def thrust(drive: Drive, t: Times, commands: Commands) -> Thrust:
@@ -131,26 +187,6 @@ def thrust(drive: Drive, t: Times, commands: Commands) -> Thrust:
     still gives what it gave before the sample, one without gives the new thrust: there the two differ,
     and the derivative with respect to a lag of zero does not exist.
     """
-    c, c_slope, c_now = _delayed(t, commands, drive.delay)
-    goal, rise = jax.jvp(lambda c: _goal(drive, c), (c,), (c_slope,))
-
-    dt = step_lengths(t)[:, None]
-    lag = jnp.maximum(drive.lag, 1e-9)  # keeps the derivative finite; exp(-dt/1e-9) is zero
-    decay = jnp.exp(-dt / lag)
-    lag = jnp.maximum(drive.lag, 0.0)
-    # Answer of a first-order lag to the straight line: a line, late by the lag, and a decaying rest.
-    first, last = goal - rise * dt / 2 - rise * lag, goal + rise * dt / 2 - rise * lag
-
-    def hold(state, now):
-        first, last, decay = now
-        return last + (state - first) * decay, state
-
-    _, start = jax.lax.scan(hold, goal[0], (first, last, decay))
-    rest = start - first
-    mean = goal - rise * lag + rest * lag / dt * (1.0 - decay)
-    moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
-    return Thrust(
-        mean=mean,
-        slope=rise + 12.0 * rest * moment / dt**3,
-        instant=jnp.where(drive.lag > 0.0, start, _goal(drive, c_now)),
-    )
+    asked = Asked.of(drive, delayed(t, commands, drive.delay), step_lengths(t)[:, None])
+    _, before = jax.lax.scan(lambda state, now: (now.after(state), state), asked.goal[0], asked)
+    return asked.thrust(before)
