@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 
 import equinox as eqx
 import jax
@@ -15,6 +16,9 @@ from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
 from jaxmarine.fitting import (
     Affine,
     Problem,
+    _linearise,
+    _rollout,
+    _thrust_slopes,
     cut,
     linearise,
     measured_channels,
@@ -186,6 +190,48 @@ def test_statistics_are_those_of_forward_mode(name, segments, logs):
         if segments == 1:
             gains = np.array([n.startswith("fluid_memory.gain") for n in this.names])
             assert error[gains].max() < 0.3 and error[lagging].max() < 0.5, what
+
+
+def test_long_logs_are_linearised_in_parts(monkeypatch):
+    """Windows two by two, four at a time, thrust along sixteen samples at a time: the same statistics.
+
+    And their sum is that of all windows.
+    """
+    this, delta, whole, (residual, _, _) = both(*THREE_AXES)
+    for module, name, size in (
+        (_linearise, "BATCH", 2),
+        (_linearise, "CHUNK", 4),
+        (_rollout, "CHUNK", 4),
+        (_rollout, "BLOCK", 16),
+        (_thrust_slopes, "BLOCK", 16),
+    ):
+        monkeypatch.setattr(module, name, size)
+    problem = dataclasses.replace(this.problem, apart=False)
+    assert problem.windows.count > 4 and problem.records.t.shape[1] > 32
+    stats = eqx.filter_jit(lambda *args: linearise(*args))(problem, this.affine, jnp.asarray(delta))
+    assert stats.h_zz.shape[0] == 1
+    scale = np.sqrt(np.diag(whole.h_zz.sum(0)))
+    for got, expected, size in (
+        (stats.chi2, whole.chi2, whole.chi2.max()),
+        (stats.g_x, whole.g_x, np.abs(whole.g_x).max()),
+        (stats.g_z, whole.g_z, np.sqrt(whole.chi2.max()) * scale),
+        (stats.h_xx, whole.h_xx, np.abs(whole.h_xx).max()),
+        (stats.h_xz, whole.h_xz, np.sqrt(np.abs(whole.h_xx).max()) * scale),
+        (stats.h_zz[0], whole.h_zz.sum(0), np.outer(scale, scale)),
+    ):
+        # Sums in another order.
+        assert (np.abs(np.asarray(got) - expected) <= 1e-10 * size + 1e-300).all()
+
+    predicted = eqx.filter_jit(inspect.unwrap(predict))(problem, this.affine.theta, jnp.asarray(delta))[1]
+    assert np.allclose(
+        predicted.reshape(residual.shape), residual, rtol=0, atol=1e-9 * np.abs(residual).max()
+    )
+
+    chi2, g, h = (np.asarray(a) for a in stats.reduced())
+    by_window = [np.asarray(a) for a in jax.tree.map(jnp.asarray, whole).reduced()]
+    assert np.allclose(chi2, by_window[0], rtol=1e-9)
+    assert (np.abs(g - by_window[1]) <= 1e-8 * np.sqrt(whole.chi2.max()) * scale + 1e-300).all()
+    assert (np.abs(h[0] - by_window[2].sum(0)) <= 1e-8 * np.outer(scale, scale) + 1e-300).all()
 
 
 def test_elimination_is_that_of_the_whole_problem():
