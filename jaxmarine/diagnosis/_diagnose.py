@@ -16,7 +16,7 @@ from ._answer import extended_by, findings_of, groups, recalibrated, standard_er
 from ._gain import HORIZON
 from ._judge import judged
 from ._kinematics import disagreement
-from ._knots import knots, missing_wrench
+from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
 from ._prepare import opened_with, sharpened
@@ -86,7 +86,7 @@ def diagnose(
         misfit_before=2 * rival.start.cost / bench.samples,
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
-        missing_before=missing_wrench(knots(bench, rival.start)),
+        missing_before=missing_wrench(rival.judged.knots),
         missing_after=missing_wrench(now.knots),
         catalogue=tuple(catalogue),
         check=bench.check(now.model),

@@ -34,6 +34,9 @@ HORIZON, RUN_IN, OF_STARTS = 5.0, 2.0, 2.0
 LEAST = HORIZON + RUN_IN + OF_STARTS  # [s] of a log on which a gain is measured
 STARTS = 60  # predictions at most
 MOST_STRETCHES = 10
+# Windows of the training whose program also serves the starts, mostly filled up; for more of them it is
+# quicker to compile another one.
+MOST_FILLED = 640
 RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away
 
 
@@ -100,7 +103,7 @@ def predictions(
     vehicle = candidates[0].vehicle
     data = cut(vehicle, [log], noise, length, stride, [segment])
     own = Room.of(data.records, data.windows)
-    room = room if room.holds(own) else own
+    room = room if room.holds(own) and room.windows <= MOST_FILLED else own
     records, windows = room.filled(data.records, data.windows)
     channels = measured_channels(data.windows)
     begin = round(run_in / length * windows.step.shape[1])
@@ -114,12 +117,12 @@ def predictions(
         theta = jnp.asarray(one.theta)
         # No parameter is free here, only the states at the starts.
         task = Task(
-            Problem(plant, records, seen, precision, channels, split),
+            Problem(plant, records, seen, precision, channels, split, apart=False),
             Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
             jnp.ones(slots),
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
-        problem = Problem(plant, records, windows, precision, channels, split)
+        problem = Problem(plant, records, windows, precision, channels, split, apart=False)
         return np.asarray(predict(problem, theta, started.delta)[0])[: data.windows.count]
 
     turns = 2 * np.pi * np.arange(PHASES) / PHASES

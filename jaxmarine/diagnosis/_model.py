@@ -551,10 +551,12 @@ class Workbench:
             np.add.reduceat(g[:, :n], first, axis=0),
             np.asarray(found.h)[: len(first)],
         )
-        # A copy without the room that was not taken, which is most of what a long log needs of memory.
-        of_windows = Reduced(
-            chi2, g @ asked, np.ascontiguousarray(np.asarray(found.h_own)[: self.count, :width, :width])
-        )
+        # Without the room that was not taken, whose rows are the last.
+        row, column = np.tril_indices(width)
+        pairs = np.asarray(found.h_own)[: self.count, : len(row)]
+        h = np.empty((self.count, width, width))
+        h[:, row, column] = h[:, column, row] = pairs
+        of_windows = Reduced(chi2, g @ asked, h)
         self._screened = (model, (of_groups, of_windows))
         return of_groups, of_windows
 

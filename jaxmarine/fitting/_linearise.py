@@ -211,13 +211,13 @@ class Screening(eqx.Module):
 
     - `chi2`, `g`: of each window; `h`: information of z in each group of windows, as that of many parameters
       in every window of a long log is more than a memory holds.
-    - `h_own`: of each window, for some combinations of z and the wrench.
+    - `h_own`: of each window, for some combinations of z and the wrench: the lower triangle, row by row.
     """
 
     chi2: Float[Array, " windows"]
     g: Float[Array, "windows columns"]
     h: Float[Array, "groups z z"]
-    h_own: Float[Array, "windows own own"]
+    h_own: Float[Array, "windows pairs"]
 
 
 def screening(
@@ -236,13 +236,13 @@ def screening(
     - `own`: the combinations, of z and the wrench.
     - `group`: of each window; windows of the group with the number `groups` are left out.
     """
-    given = affine.acts.shape[-1]
+    given, lower = affine.acts.shape[-1], np.tril_indices(own.shape[1])
 
     def one(h, stats: Statistics, group):
         chi2, gradient, explained = _eliminated(*stats.of_windows)
         information = stats.h_zz - explained
         h = _added(h, information[:given, :given], group)
-        return h, (chi2, gradient, own.T @ information @ own)
+        return h, (chi2, gradient, (own.T @ information @ own)[lower])
 
     nothing = jnp.zeros((groups + 1, given, given))
     h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, (group, groups), one, nothing)
