@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -114,7 +115,9 @@ def diagnose(
     held_out = read_log(test, craft, columns_map)
     _note(*logs, held_out)
     with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
-        result = _stoppable(lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell)
+        result = _stoppable(
+            lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell, _import_reports
+        )
     _write(result, out, said=_notes(*logs, held_out))
 
 
@@ -136,11 +139,20 @@ def _read(paths: Sequence[Path], craft, columns) -> list:
     return logs
 
 
-def _stoppable(work: Callable[[Callable[[str], None]], Result], tell: Callable[[str], None]) -> Result:
+def _import_reports() -> None:
+    """Takes seconds, which compiled programs leave to Python while they run."""
+    import_module(".reports", __package__)
+
+
+def _stoppable(
+    work: Callable[[Callable[[str], None]], Result],
+    tell: Callable[[str], None],
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Result:
     """The result of long work, done beside the main thread: Ctrl-C ends the program at once.
 
     A compiled program looks up only when it has ended, which may take a minute; what was found until then
-    is said.
+    is said. The main thread does `meanwhile`, and waits.
     """
     found = []
 
@@ -151,6 +163,7 @@ def _stoppable(work: Callable[[Callable[[str], None]], Result], tell: Callable[[
 
     try:
         future = ThreadPoolExecutor(1).submit(work, listen)
+        meanwhile()
         while not future.done():
             wait([future], timeout=0.2)
         return future.result()
@@ -432,7 +445,7 @@ def demo(
     with _progress("simulating Tethra") as tell:
         train, test = _stoppable(lambda _: hidden(craft, "thruster_gain", "port_h", {"factor": 0.72}), tell)
         tell(f"diagnosing; {_FIRST_TIME}")
-        result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell)
+        result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell, _import_reports)
     _folder(out)
     save_vehicle(craft, out / "vehicle.toml")
     write_log(train, out / "train.csv")

@@ -34,8 +34,8 @@ HORIZON, RUN_IN, OF_STARTS = 5.0, 2.0, 2.0
 LEAST = HORIZON + RUN_IN + OF_STARTS  # [s] of a log on which a gain is measured
 STARTS = 60  # predictions at most
 MOST_STRETCHES = 10
-# Windows of the training whose program also serves the starts, mostly filled up; for more of them it is
-# quicker to compile another one.
+# Windows of the training whose program also serves the starts, mostly filled up; beside more of them it is
+# quicker to compile another one, which the starts in training and test log share.
 MOST_FILLED = 640
 RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away
 
@@ -103,7 +103,10 @@ def predictions(
     vehicle = candidates[0].vehicle
     data = cut(vehicle, [log], noise, length, stride, [segment])
     own = Room.of(data.records, data.windows)
-    room = room if room.holds(own) and room.windows <= MOST_FILLED else own
+    if not room.holds(own):
+        room = own
+    elif room.windows > MOST_FILLED:
+        room = dataclasses.replace(room, windows=own.windows)
     records, windows = room.filled(data.records, data.windows)
     channels = measured_channels(data.windows)
     begin = round(run_in / length * windows.step.shape[1])
