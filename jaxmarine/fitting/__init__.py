@@ -44,9 +44,6 @@ from ._linearise import (
     Affine as Affine,
 )
 from ._linearise import (
-    Screening as Screening,
-)
-from ._linearise import (
     Statistics as Statistics,
 )
 from ._linearise import (

@@ -16,6 +16,9 @@ the curvature that Gauss-Newton leaves out. For 110 parameters it is many times 
 through the solver.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -32,6 +35,7 @@ from ._rollout import (
     in_parts,
     joined,
     of_segment,
+    part_of,
     roll_out,
     slides_of,
     start_of,
@@ -98,9 +102,9 @@ class Columns(eqx.Module):
 
 
 class Statistics(eqx.Module):
-    """Per window: chi-square and the normal equations, `x` for the initial state, `z` for the parameters.
+    """Chi-square and normal equations of each window, `x` for its initial state, `z` for the parameters.
 
-    - `h_zz`: of each window by itself, or their sum (`Problem.apart`).
+    - `h_zz`: of each window, or one, their sum (`Problem.apart`).
     """
 
     chi2: Float[Array, " windows"]
@@ -112,7 +116,10 @@ class Statistics(eqx.Module):
 
     @eqx.filter_jit
     def reduced(self):
-        """Chi-square, gradient and information of z with each window's initial state eliminated."""
+        """Chi-square, gradient and information of z with each window's initial state eliminated.
+
+        The information is that of each window, or their sum, as `h_zz` is.
+        """
         own = jnp.arange(len(self.chi2)) if len(self.h_zz) > 1 else jnp.zeros(len(self.chi2), int)
 
         def one(h, now):
@@ -194,16 +201,14 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    given = affine.acts.shape[-1]
-    groups = len(delta) if problem.apart else 1
-    group = jnp.arange(len(delta)) if problem.apart else jnp.zeros(len(delta), int)
+    count = len(delta)
+    group, groups = (jnp.arange(count), count) if problem.apart else (jnp.zeros(count, int), 1)
 
-    def one(h, stats: Statistics, group):
-        return _added(h, stats.h_zz, group), stats.of_windows
+    def each(stats: Statistics):
+        return stats.h_zz, stats.of_windows
 
-    nothing = jnp.zeros((groups + 1, given, given))
-    h, of_windows = _swept(problem, affine, delta, 0, (group, groups), one, nothing)
-    return Statistics(*of_windows, h_zz=h[:-1])
+    h_zz, of_windows = _swept(problem, affine, delta, 0, group, groups, each)
+    return Statistics(*of_windows, h_zz=h_zz)
 
 
 class Screening(eqx.Module):
@@ -238,14 +243,12 @@ def screening(
     """
     given, lower = affine.acts.shape[-1], np.tril_indices(own.shape[1])
 
-    def one(h, stats: Statistics, group):
+    def each(stats: Statistics):
         chi2, gradient, explained = _eliminated(*stats.of_windows)
         information = stats.h_zz - explained
-        h = _added(h, information[:given, :given], group)
-        return h, (chi2, gradient, (own.T @ information @ own)[lower])
+        return information[:given, :given], (chi2, gradient, (own.T @ information @ own)[lower])
 
-    nothing = jnp.zeros((groups + 1, given, given))
-    h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, (group, groups), one, nothing)
+    h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, group, groups, each)
     return Screening(chi2, g, h, h_own)
 
 
@@ -255,31 +258,42 @@ def _added(h: Float[Array, "groups z z"], more: Float[Array, "z z"], group) -> F
     return jax.lax.dynamic_update_index_in_dim(h, before + more, group, 0)
 
 
-def _swept(problem: Problem, affine: Affine, delta, knots: int, group, add, total):
-    """All windows added up one by one, and what `add` gives for each.
+def _swept(
+    problem: Problem,
+    affine: Affine,
+    delta: Float[Array, "windows 12"],
+    knots: int,
+    group: Int[Array, " windows"],
+    groups: int,
+    each: Callable[[Statistics], tuple[Array, Any]],
+) -> tuple[Float[Array, "groups z z"], Any]:
+    """All windows one after another: the sums over groups, and what is kept of every window.
 
-    - `group`: number of each window, and the one for windows that only fill a batch up.
-    - `add(total, statistics, group)`: the total with one window more, and what is kept of the window.
+    - `each`: of a window's statistics what is added up, and what is kept.
     """
     roll, one, begun = _each(problem, affine, knots)
-    count = len(delta)
-    chunk = min(CHUNK, -(-count // BATCH) * BATCH)
-    number, left_out = group
-    # What fills the last chunk up is left out.
-    number = jnp.concatenate([number, jnp.full(-count % chunk, left_out)])
+    count, given = len(delta), affine.acts.shape[-1]
+    chunk = part_of(count, CHUNK, BATCH)
+    # One group more: for windows that are left out, and for those that fill the last chunk up.
+    group = jnp.concatenate([group, jnp.full(-count % chunk, groups)])
+
+    def of_window(total, now):
+        stats, group = now
+        more, kept = each(stats)
+        return _added(total, more, group), kept
 
     def of_batch(total, now):
-        windows, number = now
-        return jax.lax.scan(lambda total, each: add(total, *each), total, (jax.vmap(one)(windows), number))
+        windows, group = now
+        return jax.lax.scan(of_window, total, (jax.vmap(one)(windows), group))
 
     def of_chunk(total, now):
-        index, number = now
+        index, group = now
         rolled = roll(*jax.tree.map(lambda a: a[index], (problem.windows, delta, begun)))
-        return jax.lax.scan(of_batch, total, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, number)))
+        return jax.lax.scan(of_batch, total, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, group)))
 
-    chunks = in_parts(jnp.arange(count), chunk), in_parts(number, chunk)
-    total, each = jax.lax.scan(of_chunk, total, chunks)
-    return total, jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), each)
+    chunks = in_parts(jnp.arange(count), chunk), in_parts(group, chunk)
+    total, kept = jax.lax.scan(of_chunk, jnp.zeros((groups + 1, given, given)), chunks)
+    return total[:-1], jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
 
 
 def _each(problem: Problem, affine: Affine, knots: int):

@@ -42,7 +42,7 @@ class Problem(eqx.Module):
     - `start_precision`: inverse variance of the prior on a window's initial state (`start_precision`).
     - `channels`: those that are measured in any window (`measured_channels`); the others have no rows.
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
-    - `apart`: whether the information of each window is asked for, or their sum.
+    - `apart`: whether the information of each window is kept, as the scatter of a fit asks for, or their sum.
     """
 
     plant_of: PlantOf
@@ -217,6 +217,12 @@ def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow
     return jax.lax.scan(step, start, track)[1]
 
 
+def part_of(count: int, most: int, grain: int = 1) -> int:
+    """The size of as few equal parts as have at most `most` rows each, in whole grains."""
+    parts = -(-count // most)
+    return -(-count // (parts * grain)) * grain
+
+
 def in_parts(a: Array, size: int) -> Array:
     """Rows in parts of a size, filled up by the last row, so that no shorter part is compiled as well."""
     filled = jnp.concatenate([a, jnp.repeat(a[-1:], -len(a) % size, axis=0)])
@@ -252,6 +258,6 @@ def predict(problem: Problem, theta, delta):
         return jax.vmap(one)(here, tracks_of(problem, here, push, slides, lagged), moved)
 
     windows, count = problem.windows, problem.windows.count
-    channels = jax.lax.map(some, in_parts(jnp.arange(count), min(count, CHUNK)))
+    channels = jax.lax.map(some, in_parts(jnp.arange(count), part_of(count, CHUNK)))
     channels = joined(channels, count)
     return channels, wrapped(channels - windows.measured) * windows.weight

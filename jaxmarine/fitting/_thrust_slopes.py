@@ -43,9 +43,9 @@ class ThrustSlopes(eqx.Module):
 
     drives: Drive
     rows: _Rows
-    slopes: Float[Array, "segments constants thrusters z"]
+    slopes: Float[Array, "segments kinds thrusters z"]
     touched: Bool[Array, ""]
-    begun: Float[Array, "windows segments constants thrusters"]
+    begun: Float[Array, "windows segments kinds thrusters"]
 
     @classmethod
     def of(cls, problem: Problem, drives: Drive, slopes: Drive, push: Thrust) -> "ThrustSlopes":
@@ -56,12 +56,18 @@ class ThrustSlopes(eqx.Module):
             delay = jnp.broadcast_to(of_segment(drives, segment).delay, commands.shape)
             return jax.jvp(lambda d: delayed(t, commands, d), (delay,), (jnp.ones_like(delay),))
 
-        late, d_late = jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
-        rows = _Rows(late, d_late, push.before, jax.vmap(step_lengths)(records.t), records.segment)
+        def acting():
+            return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+
+        def nothing():
+            return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(acting))
+
         by_z = jnp.stack(jax.tree.leaves(slopes), axis=1)
-        touched = (by_z != 0).any()
-        shape = (problem.windows.count, *by_z.shape[:-1])
         # Most causes are none of a thruster, and without a lag nothing lasts.
+        touched = (by_z != 0).any()
+        late, d_late = jax.lax.cond(touched, acting, nothing)
+        rows = _Rows(late, d_late, push.before, jax.vmap(step_lengths)(records.t), records.segment)
+        shape = (problem.windows.count, *by_z.shape[:-1])
         begun = jax.lax.cond(
             touched & (drives.lag > 0).any(),
             lambda: _begun(drives, rows, problem.windows, shape),
@@ -69,8 +75,13 @@ class ThrustSlopes(eqx.Module):
         )
         return cls(drives, rows, by_z, touched, begun)
 
-    def at(self, windows: Windows, begun, twice: bool) -> Float[Array, "points thrusters z"]:
-        """At every step of a window: of the mean thrust, and `twice` of that at the samples behind it."""
+    def at(
+        self, windows: Windows, begun: Float[Array, "segments kinds thrusters"], twice: bool
+    ) -> Float[Array, "points thrusters z"]:
+        """At every step of a window: of the mean thrust, and `twice` of that at the samples behind it.
+
+        - `begun`: that of this window.
+        """
         rows = jax.tree.map(lambda a: a[windows.log, windows.step], self.rows)
         own, by_constants, by_before = _tangents(self.drives, rows, len(self.slopes))
 
@@ -99,9 +110,10 @@ class _Pushed(NamedTuple):
 def _tangents(drives: Drive, rows: _Rows, segments: int) -> tuple[Array, _Pushed, _Pushed]:
     """Derivatives of the thrust at some rows.
 
-    Which segment each row is in [rows, segments, 1, 1]; derivatives [rows, constants, thrusters] with respect
-    to each kind of constant there, while where the lag stands before the hold is held; and [rows, thrusters]
-    with respect to the latter.
+    - Whether each row is in a segment [rows, segments, 1, 1].
+    - With respect to each kind of constant in its own segment, from where the lag stands [rows, kinds,
+      thrusters].
+    - With respect to where the lag stands before the hold [rows, thrusters].
     """
     shape = rows.before.shape
     here = jax.tree.map(lambda a: jnp.broadcast_to(a, shape), of_segment(drives, rows.segment))
@@ -126,14 +138,14 @@ def _tangents(drives: Drive, rows: _Rows, segments: int) -> tuple[Array, _Pushed
 
 
 def _begun(drives: Drive, rows: _Rows, windows: Windows, shape: tuple[int, ...]) -> Array:
-    """Derivatives [windows, segments, constants, thrusters] of where the lag stands at the windows' first
+    """Derivatives [windows, segments, kinds, thrusters] of where the lag stands at the windows' first
     samples, by one pass over all logs.
     """
     logs, steps = rows.segment.shape
     count, blocks = shape[0], -(-steps // BLOCK)
-    # The window that begins at a sample; those that only fill arrays up repeat the last one.
-    first = jnp.full((logs, steps), count).at[windows.log, windows.step[:, 0]].min(jnp.arange(count))
-    first = jnp.pad(first, ((0, 0), (0, blocks * BLOCK - steps)), constant_values=count)
+    # A window that begins at a sample, none at the last one; several may begin at the same.
+    begins = windows.log, windows.step[:, 0]
+    first = jnp.full((logs, steps), count).at[begins].min(jnp.arange(count))
 
     def in_blocks(a):
         a = jnp.pad(a, [(0, 0), (0, blocks * BLOCK - a.shape[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")
@@ -158,4 +170,4 @@ def _begun(drives: Drive, rows: _Rows, windows: Windows, shape: tuple[int, ...])
     fresh = np.arange(logs * blocks) % blocks == 0
     begin = jnp.zeros(shape[1:]), jnp.zeros((count + 1, *shape[1:]))
     (_, out), _ = jax.lax.scan(block, begin, (jax.tree.map(in_blocks, rows), in_blocks(first), fresh))
-    return out[:-1]
+    return out[first[begins]]

@@ -137,7 +137,7 @@ class Asked(eqx.Module):
 
     - `goal` [N], `rise` [N/s]: mean and slope over the hold; `now` [N]: at its sample.
     - `first`, `last` [N]: at its ends, late by the lag; `decay`: over the hold, of what differs from that.
-    - `dt` [s]: length of the hold.
+    - `dt` [s]: length of the hold; `lag` [s]: not negative.
     """
 
     goal: Float[Array, "*times thrusters"]
@@ -157,7 +157,7 @@ class Asked(eqx.Module):
         decay = jnp.exp(-dt / jnp.maximum(drive.lag, 1e-9))
         lag = jnp.maximum(drive.lag, 0.0)
         first, last = goal - rise * dt / 2 - rise * lag, goal + rise * dt / 2 - rise * lag
-        return cls(goal, rise, _goal(drive, late.now), drive.lag, dt, first, last, decay)
+        return cls(goal, rise, _goal(drive, late.now), lag, dt, first, last, decay)
 
     def after(self, before: Float[Array, "*times thrusters"]) -> Float[Array, "*times thrusters"]:
         """Where the lag stands at the end of the hold: its answer to the line, and a decaying rest."""
@@ -165,13 +165,13 @@ class Asked(eqx.Module):
 
     def thrust(self, before: Commands) -> Thrust:
         """From where the lag stands at the sample."""
-        dt, decay, lag = self.dt, self.decay, jnp.maximum(self.lag, 0.0)
+        dt, decay, lag = self.dt, self.decay, self.lag
         rest = before - self.first
         moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
         return Thrust(
             mean=self.goal - self.rise * lag + rest * lag / dt * (1.0 - decay),
             slope=self.rise + 12.0 * rest * moment / dt**3,
-            instant=jnp.where(self.lag > 0.0, before, self.now),
+            instant=jnp.where(lag > 0.0, before, self.now),
             before=before,
         )
 
