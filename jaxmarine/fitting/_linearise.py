@@ -30,6 +30,7 @@ from ..physics import apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
 from ._rollout import (
     CHUNK,
+    PlantOf,
     Problem,
     fluid_memory,
     in_parts,
@@ -296,6 +297,50 @@ def _swept(
     return total[:-1], jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
 
 
+@eqx.filter_jit
+def _balances(plant_of: PlantOf, plants: Plant, theta, x, drive: Input, lagged, segment):
+    """nu', the derivatives of the balance, and the inverse mass at some points.
+
+    Compiled as part of the caller; by itself it is traced once for all programs that linearise.
+    """
+
+    def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
+        drive = eqx.tree_at(lambda d: d.thrust, drive, pushed)
+        return plant_of(theta, segment).balance(_unflat(x, lagged), nu_dot, drive)
+
+    def one(x, drive, lagged, segment):
+        plant = of_segment(plants, segment)
+        nu_dot = plant.acceleration(_unflat(x, lagged), drive)
+        first = 0 if theta.shape[0] == 1 else segment
+        slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
+            x, nu_dot, drive.thrust, theta[first], lagged, first, drive
+        )
+        return nu_dot, slopes, plant.mobility(drive)
+
+    return jax.vmap(one)(x, drive, lagged, segment)
+
+
+@eqx.filter_jit
+def _readings(plants: Plant, chain: _Chain, x, nu_dot, segment):
+    """What the sensors show at some points, and its derivatives by x, nu' and the sensors' constants.
+
+    Traced once, as `_balances` is.
+    """
+
+    def shown(x, nu_dot, sensors, segment):
+        plant = of_segment(plants, segment)
+        _, unravel = jax.flatten_util.ravel_pytree(plant.sensors)
+        plant = eqx.tree_at(lambda p: p.sensors, plant, unravel(sensors))
+        return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
+
+    def one(x, nu_dot, segment):
+        sensors = of_segment(chain, segment).sensors
+        slopes = jax.jacfwd(shown, argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
+        return shown(x, nu_dot, sensors, segment), slopes
+
+    return jax.vmap(one)(x, nu_dot, segment)
+
+
 def _each(problem: Problem, affine: Affine, knots: int):
     """What is asked of each window in turn.
 
@@ -324,20 +369,6 @@ def _each(problem: Problem, affine: Affine, knots: int):
     lagged, d_lagged = fluid_memory(problem, plants)
     rows = np.array(problem.channels, int)
 
-    def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
-        drive = eqx.tree_at(lambda d: d.thrust, drive, pushed)
-        return problem.plant_of(theta, segment).balance(_unflat(x, lagged), nu_dot, drive)
-
-    def tangent(x, drive, lagged, segment):
-        """nu', the derivatives of the balance, and the inverse mass at one point."""
-        plant = of_segment(plants, segment)
-        nu_dot = plant.acceleration(_unflat(x, lagged), drive)
-        first = 0 if theta.shape[0] == 1 else segment
-        slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
-            x, nu_dot, drive.thrust, theta[first], lagged, first, drive
-        )
-        return nu_dot, slopes, plant.mobility(drive)
-
     def by_thrusters(by_thrust, windows, begun):
         """What the balance has of z by the thrusters, at every step of a window, or twice at every step."""
         # Most causes are none of a thruster; the predicate is the same for all windows of a batch.
@@ -349,7 +380,10 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     def tangents(windows, begun, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
-        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = jax.vmap(tangent)(x, drive, lagged, segment)
+        at = x, drive, lagged, segment
+        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = _balances(
+            problem.plant_of, plants, theta, *at
+        )
         by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows, begun)
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
@@ -373,21 +407,10 @@ def _each(problem: Problem, affine: Affine, knots: int):
         exp, phi = _exponential(dt * f, problem.split)
         return exp, dt * (phi[:, :, 7:] @ nu_z)
 
-    def shown(x, nu_dot, sensors, segment):
-        plant = of_segment(plants, segment)
-        _, unravel = jax.flatten_util.ravel_pytree(plant.sensors)
-        plant = eqx.tree_at(lambda p: p.sensors, plant, unravel(sensors))
-        return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
-
     def sensed(x, segment, nu_dot, nu_x, nu_z):
         """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
 
-        def one(x, nu_dot, segment):
-            sensors = of_segment(chain, segment).sensors
-            slopes = jax.jacfwd(shown, argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
-            return shown(x, nu_dot, sensors, segment), slopes
-
-        value, (by_x, by_nu_dot, by_sensors) = jax.vmap(one)(x, nu_dot, segment)
+        value, (by_x, by_nu_dot, by_sensors) = _readings(plants, chain, x, nu_dot, segment)
         by_x, by_nu_dot, by_sensors = by_x[:, rows], by_nu_dot[:, rows], by_sensors[:, rows]
         by_z = by_nu_dot @ nu_z
         by_z = by_z.at[:, :, :given].add(_contract(by_sensors, chain_slopes.sensors, segment))

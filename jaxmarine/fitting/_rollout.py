@@ -201,6 +201,12 @@ def start_of(windows: Windows, delta: Float[Array, "12"], memory) -> State:
     return State(windows.position, windows.attitude, windows.velocity, memory).moved(delta)
 
 
+@eqx.filter_jit
+def _held(plants: Plant, segment, state: State, over: Input, dt, split) -> State:
+    """Part of the caller's program; by itself it is traced once for all of them."""
+    return hold(of_segment(plants, segment), state, over, dt, split)
+
+
 def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow: bool):
     """States at all steps of one window, the first included, and at the ends of all holds.
 
@@ -211,7 +217,7 @@ def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow
     def step(state, now):
         if follow:
             state = eqx.tree_at(lambda s: s.memory, state, now.lagged)
-        after = hold(of_segment(plants, now.segment), state, now.over, now.dt, problem.split)
+        after = _held(plants, now.segment, state, now.over, now.dt, problem.split)
         return after, (state, after)
 
     return jax.lax.scan(step, start, track)[1]
