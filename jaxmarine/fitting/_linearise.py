@@ -35,6 +35,7 @@ from ._rollout import (
     fluid_memory,
     in_parts,
     joined,
+    late_of,
     of_segment,
     part_of,
     roll_out,
@@ -363,8 +364,9 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     drive_slopes = slope(lambda plant: plant.drive)
     chain_slopes = slope(_chain)
-    push, slides = thrust_of(problem, plants.drive), slides_of(problem, plants)
-    driven = ThrustSlopes.of(problem, plants.drive, drive_slopes, push)
+    late, slides = late_of(problem, plants.drive), slides_of(problem, plants)
+    push = thrust_of(problem, plants.drive, late)
+    driven = ThrustSlopes.of(problem, plants.drive, drive_slopes, late, push.before)
     columns = Columns.of(affine.columns)
     lagged, d_lagged = fluid_memory(problem, plants)
     rows = np.array(problem.channels, int)

@@ -22,7 +22,7 @@ from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._rollout import Problem, fluid_memory, of_segment, slides_of, start_precision, thrust_of
+from ._rollout import Problem, fluid_memory, late_of, of_segment, slides_of, start_precision, thrust_of
 from ._trajectory import segments
 from ._windows import cut
 
@@ -59,7 +59,7 @@ class OneStep(eqx.Module):
         theta = self.start + self.map @ z
         plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
         records, samples = self.problem.records, self.samples
-        push = thrust_of(self.problem, plants.drive)
+        push = thrust_of(self.problem, plants.drive, late_of(self.problem, plants.drive))
         before = jnp.concatenate([push.mean[:, :1], push.mean[:, :-1]], axis=1)
         thrust = push.instant if samples.instant else 0.5 * (before + push.mean)
         lagged, _ = fluid_memory(self.problem, plants)

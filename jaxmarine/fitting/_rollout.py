@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
-from ..physics import Drive, Slide, Thrust, thrust
+from ..physics import Drive, Late, Slide, Thrust, delayed, lagging
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._windows import Records, Windows
@@ -88,16 +88,25 @@ def of_segment(tree, index):
     return jax.tree.map(lambda a: a[index], tree)
 
 
-def thrust_of(problem: Problem, drives: Drive) -> Thrust:
-    """Thrust over each hold and at each sample of all logs, for the drive constants of each segment."""
+def late_of(problem: Problem, drives: Drive) -> Late:
+    """The commands that act in all logs, for the drive constants of each segment."""
     records = problem.records
 
     def one(t, commands, segment):
-        here = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), of_segment(drives, segment))
-        return thrust(here, t, commands)
+        return delayed(t, commands, jnp.broadcast_to(of_segment(drives.delay, segment), commands.shape))
 
     thrusters = drives.max_thrust.shape[-1]
     return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+
+
+def thrust_of(problem: Problem, drives: Drive, late: Late) -> Thrust:
+    """Thrust over each hold and at each sample of all logs, for the drive constants of each segment."""
+
+    def one(late, t, segment):
+        here = of_segment(drives, segment)
+        return lagging(jax.tree.map(lambda a: jnp.broadcast_to(a, late.mean.shape), here), late, t)
+
+    return jax.vmap(one)(late, problem.records.t, problem.records.segment)
 
 
 def slides_of(problem: Problem, plants: Plant) -> Slide | None:
@@ -247,7 +256,8 @@ def predict(problem: Problem, theta, delta):
     - `theta` [segments, parameters]; `delta` [windows, 12]: changes of the initial states (`State.moved`).
     """
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
-    push, slides = thrust_of(problem, plants.drive), slides_of(problem, plants)
+    push = thrust_of(problem, plants.drive, late_of(problem, plants.drive))
+    slides = slides_of(problem, plants)
     lagged = fluid_memory(problem, plants)[0]
 
     def one(windows, track, delta):

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..physics import Asked, Drive, Late, Thrust, delayed, step_lengths
-from ._rollout import BLOCK, Problem, of_segment
+from ..physics import Asked, Drive, Late, step_lengths
+from ._rollout import BLOCK, Problem, late_of, of_segment
 from ._windows import Windows
 
 
@@ -48,25 +48,24 @@ class ThrustSlopes(eqx.Module):
     begun: Float[Array, "windows segments kinds thrusters"]
 
     @classmethod
-    def of(cls, problem: Problem, drives: Drive, slopes: Drive, push: Thrust) -> "ThrustSlopes":
-        """For the drive constants of each segment, their derivatives [segments, thrusters, z], and thrust."""
-        records, thrusters = problem.records, drives.max_thrust.shape[-1]
+    def of(cls, problem: Problem, drives: Drive, slopes: Drive, late: Late, before: Array) -> "ThrustSlopes":
+        """For the drive constants of each segment, and their derivatives [segments, thrusters, z].
 
-        def one(t, commands, segment):
-            delay = jnp.broadcast_to(of_segment(drives, segment).delay, commands.shape)
-            return jax.jvp(lambda d: delayed(t, commands, d), (delay,), (jnp.ones_like(delay),))
+        - `late`, `before` [logs, steps, thrusters]: the commands that act, and where the lag stands.
+        """
+        records = problem.records
 
-        def acting():
-            return jax.vmap(one)(records.t, records.commands[..., :thrusters], records.segment)
+        def acting(delay):
+            return late_of(problem, eqx.tree_at(lambda d: d.delay, drives, delay))
 
-        def nothing():
-            return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(acting))
+        def by_delay():
+            return jax.jvp(acting, (drives.delay,), (jnp.ones_like(drives.delay),))[1]
 
         by_z = jnp.stack(jax.tree.leaves(slopes), axis=1)
         # Most causes are none of a thruster, and without a lag nothing lasts.
         touched = (by_z != 0).any()
-        late, d_late = jax.lax.cond(touched, acting, nothing)
-        rows = _Rows(late, d_late, push.before, jax.vmap(step_lengths)(records.t), records.segment)
+        d_late = jax.lax.cond(touched, by_delay, lambda: jax.tree.map(jnp.zeros_like, late))
+        rows = _Rows(late, d_late, before, jax.vmap(step_lengths)(records.t), records.segment)
         shape = (problem.windows.count, *by_z.shape[:-1])
         begun = jax.lax.cond(
             touched & (drives.lag > 0).any(),

@@ -6,6 +6,7 @@ from ._actuators import Drive as Drive
 from ._actuators import Late as Late
 from ._actuators import Thrust as Thrust
 from ._actuators import delayed as delayed
+from ._actuators import lagging as lagging
 from ._actuators import step_lengths as step_lengths
 from ._actuators import thrust as thrust
 from ._body import Load as Load

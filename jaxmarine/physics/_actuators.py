@@ -176,6 +176,13 @@ class Asked(eqx.Module):
         )
 
 
+def lagging(drive: Drive, late: Late, t: Times) -> Thrust:
+    """Thrust from the commands that act: `thrust`, once those are known."""
+    asked = Asked.of(drive, late, step_lengths(t)[:, None])
+    _, before = jax.lax.scan(lambda state, now: (now.after(state), state), asked.goal[0], asked)
+    return asked.thrust(before)
+
+
 def thrust(drive: Drive, t: Times, commands: Commands) -> Thrust:
     """Thrust from held commands.
 
@@ -187,6 +194,4 @@ def thrust(drive: Drive, t: Times, commands: Commands) -> Thrust:
     still gives what it gave before the sample, one without gives the new thrust: there the two differ,
     and the derivative with respect to a lag of zero does not exist.
     """
-    asked = Asked.of(drive, delayed(t, commands, drive.delay), step_lengths(t)[:, None])
-    _, before = jax.lax.scan(lambda state, now: (now.after(state), state), asked.goal[0], asked)
-    return asked.thrust(before)
+    return lagging(drive, delayed(t, commands, drive.delay), t)
