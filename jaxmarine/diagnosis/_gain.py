@@ -118,14 +118,14 @@ def predictions(
     def shown(one: Candidate) -> np.ndarray:
         plant = SaturatedPlant(one.vehicle, one.families, jnp.asarray(one.gates))
         theta = jnp.asarray(one.theta)
+        problem = Problem(plant, records, windows, precision, channels, split, apart=False)
         # No parameter is free here, only the states at the starts.
         task = Task(
-            Problem(plant, records, seen, precision, channels, split, apart=False),
+            dataclasses.replace(problem, windows=seen),
             Affine(theta, jnp.zeros((theta.shape[1], slots)), jnp.ones((len(theta), slots))),
             jnp.ones(slots),
         )
         started = refine_windows(task, jnp.zeros(slots), jnp.zeros((windows.count, 12)), 10, rtol=1e-5)
-        problem = Problem(plant, records, windows, precision, channels, split, apart=False)
         return np.asarray(predict(problem, theta, started.delta)[0])[: data.windows.count]
 
     turns = 2 * np.pi * np.arange(PHASES) / PHASES

@@ -16,6 +16,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._compiled import compiled
+from ._parts import in_parts, part_of
 from ._trust import Trust, pick
 
 # Samples whose Jacobian is held at once: of some tens of weights it stays in the processor's cache, and the
@@ -187,11 +188,6 @@ def fit_samples(
 def _in_batches(samples: PyTree) -> tuple[PyTree, Bool[Array, "batches batch"]]:
     """The samples in batches, filled up with the last one, and which of them count."""
     count = len(jax.tree.leaves(samples)[0])
-    number = -(-count // BATCH)
-    size = -(-count // number)
-
-    def cut(a):
-        filled = jnp.concatenate([a, jnp.repeat(a[-1:], number * size - count, axis=0)])
-        return filled.reshape(number, size, *a.shape[1:])
-
-    return jax.tree.map(cut, samples), (jnp.arange(number * size) < count).reshape(number, size)
+    size = part_of(count, BATCH)
+    batches = jax.tree.map(lambda a: in_parts(a, size), samples)
+    return batches, jnp.arange(count + -count % size).reshape(-1, size) < count

@@ -28,16 +28,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..physics import apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
+from ._parts import in_parts, joined, part_of
 from ._rollout import (
     CHUNK,
     PlantOf,
     Problem,
     fluid_memory,
-    in_parts,
-    joined,
     late_of,
     of_segment,
-    part_of,
     roll_out,
     slides_of,
     start_of,
@@ -122,7 +120,7 @@ class Statistics(eqx.Module):
 
         The information is that of each window, or their sum, as `h_zz` is.
         """
-        own = jnp.arange(len(self.chi2)) if len(self.h_zz) > 1 else jnp.zeros(len(self.chi2), int)
+        own, _ = _groups(len(self.chi2), len(self.h_zz) > 1)
 
         def one(h, now):
             window, group = now
@@ -203,8 +201,7 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    count = len(delta)
-    group, groups = (jnp.arange(count), count) if problem.apart else (jnp.zeros(count, int), 1)
+    group, groups = _groups(len(delta), problem.apart)
 
     def each(stats: Statistics):
         return stats.h_zz, stats.of_windows
@@ -252,6 +249,11 @@ def screening(
 
     h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, group, groups, each)
     return Screening(chi2, g, h, h_own)
+
+
+def _groups(count: int, apart: bool) -> tuple[Int[Array, " windows"], int]:
+    """The group of each window, and how many there are: one each, or one for all."""
+    return (jnp.arange(count), count) if apart else (jnp.zeros(count, int), 1)
 
 
 def _added(h: Float[Array, "groups z z"], more: Float[Array, "z z"], group) -> Float[Array, "groups z z"]:
@@ -382,10 +384,8 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     def tangents(windows, begun, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
-        at = x, drive, lagged, segment
-        nu_dot, (by_x, by_thrust, by_theta, by_lagged), inverse = _balances(
-            problem.plant_of, plants, theta, *at
-        )
+        nu_dot, slopes, inverse = _balances(problem.plant_of, plants, theta, x, drive, lagged, segment)
+        by_x, by_thrust, by_theta, by_lagged = slopes
         by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows, begun)
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
@@ -411,7 +411,6 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     def sensed(x, segment, nu_dot, nu_x, nu_z):
         """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
-
         value, (by_x, by_nu_dot, by_sensors) = _readings(plants, chain, x, nu_dot, segment)
         by_x, by_nu_dot, by_sensors = by_x[:, rows], by_nu_dot[:, rows], by_sensors[:, rows]
         by_z = by_nu_dot @ nu_z

@@ -18,6 +18,7 @@ from .._compiled import compiled
 from ..physics import Drive, Late, Slide, Thrust, delayed, lagging
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
+from ._parts import in_parts, joined, part_of
 from ._windows import Records, Windows
 
 # Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
@@ -230,23 +231,6 @@ def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow
         return after, (state, after)
 
     return jax.lax.scan(step, start, track)[1]
-
-
-def part_of(count: int, most: int, grain: int = 1) -> int:
-    """The size of as few equal parts as have at most `most` rows each, in whole grains."""
-    parts = -(-count // most)
-    return -(-count // (parts * grain)) * grain
-
-
-def in_parts(a: Array, size: int) -> Array:
-    """Rows in parts of a size, filled up by the last row, so that no shorter part is compiled as well."""
-    filled = jnp.concatenate([a, jnp.repeat(a[-1:], -len(a) % size, axis=0)])
-    return filled.reshape(len(filled) // size, size, *a.shape[1:])
-
-
-def joined(parts: Array, count: int) -> Array:
-    """The first rows of all parts."""
-    return parts.reshape(parts.shape[0] * parts.shape[1], *parts.shape[2:])[:count]
 
 
 @compiled

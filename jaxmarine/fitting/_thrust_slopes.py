@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..physics import Asked, Drive, Late, step_lengths
+from ._parts import in_parts
 from ._rollout import BLOCK, Problem, late_of, of_segment
 from ._windows import Windows
 
@@ -141,14 +142,14 @@ def _begun(drives: Drive, rows: _Rows, windows: Windows, shape: tuple[int, ...])
     samples, by one pass over all logs.
     """
     logs, steps = rows.segment.shape
-    count, blocks = shape[0], -(-steps // BLOCK)
+    count = shape[0]
     # A window that begins at a sample, none at the last one; several may begin at the same.
     begins = windows.log, windows.step[:, 0]
     first = jnp.full((logs, steps), count).at[begins].min(jnp.arange(count))
 
     def in_blocks(a):
-        a = jnp.pad(a, [(0, 0), (0, blocks * BLOCK - a.shape[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")
-        return a.reshape(logs * blocks, BLOCK, *a.shape[2:])
+        blocks = jax.vmap(in_parts, (0, None))(a, BLOCK)
+        return blocks.reshape(logs * blocks.shape[1], *blocks.shape[2:])
 
     def block(carry, now):
         rows, first, fresh = now
@@ -166,7 +167,8 @@ def _begun(drives: Drive, rows: _Rows, windows: Windows, shape: tuple[int, ...])
         follow = own * by_constants.after[:, None], by_before.after[:, None, None], first
         return jax.lax.scan(row, (lag, out), follow)[0], None
 
-    fresh = np.arange(logs * blocks) % blocks == 0
+    # Whether a sample, and so a block, is the first of its log.
+    fresh = in_blocks(jnp.broadcast_to(jnp.arange(steps) == 0, (logs, steps)))[:, 0]
     begin = jnp.zeros(shape[1:]), jnp.zeros((count + 1, *shape[1:]))
     (_, out), _ = jax.lax.scan(block, begin, (jax.tree.map(in_blocks, rows), in_blocks(first), fresh))
     return out[first[begins]]
