@@ -345,7 +345,7 @@ def fit(
             tell,
         )
     if not result.converged:
-        raise InputError(f"{train[0]}: the fit found no minimum; give --prior 0.3, or log livelier motion.")
+        raise InputError(f"{train[0]}: the fit did not succeed: {result.result}")
     save_vehicle(result.vehicle, out)
     _say(str(result))
     _say(f"Fitted vehicle: {out}")

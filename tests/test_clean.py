@@ -142,10 +142,15 @@ def test_an_acceleration_after_a_short_command_is_no_spike():
     assert missing(clean(spiked(log, "du", [100], 2.0)), "du") == [100]
 
 
-def test_a_slow_sensor_may_repeat_its_samples(good):
-    slow = with_channel(good, "x", np.repeat(column(good, "x")[::2], 2))
-    assert clean(slow) is slow
-    assert missing(clean(spiked(slow, "x", np.arange(150, 152), 4.0)), "x") == [150, 151]
+def test_rows_that_repeat_a_slow_sensor_are_missing(good):
+    """Each sample of it counts once; a channel beside it is as before."""
+    held = np.repeat(column(good, "x")[::2], 2)
+    found = clean(with_channel(good, "x", held))
+    assert [note for note in found.notes if "`x` comes every 0.2 s" in note]
+    seen = np.isfinite(column(found, "x"))
+    np.testing.assert_array_equal(seen, np.arange(len(held)) % 2 == 0)
+    np.testing.assert_array_equal(column(found, "y"), column(good, "y"))
+    assert clean(found).channels.tobytes() == found.channels.tobytes()
 
 
 # --- invariants ------------------------------------------------------------------------------

@@ -51,6 +51,9 @@ class Estimate:
     - `chi2` without prior, and its `freedom`: samples less everything that was fitted.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `rejected`: times at which windows begin that were left out [s].
+    - `weighed` [18]: factors of the sensors' noise that channels were weighed with in the end; `left` [18]:
+      root mean square of what the model leaves in each, in units of that noise, NaN where not measured.
+    - `worst`: in words, where the model misses most.
     """
 
     z: Float[np.ndarray, " z"]
@@ -64,6 +67,9 @@ class Estimate:
     converged: bool
     result: str
     rejected: Float[np.ndarray, " rejected"] = dataclasses.field(default_factory=lambda: np.zeros(0))
+    weighed: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.ones(18))
+    left: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.full(18, np.nan))
+    worst: str = ""
 
     @property
     def finite(self) -> bool:
@@ -71,11 +77,11 @@ class Estimate:
         parts = (self.chi2, self.raw, self.scores, self.information)
         return all(bool(np.isfinite(part).all()) for part in parts)
 
-    def promise(self, units: Units) -> float:
-        """Half the chi-square that one more undamped step promises to save."""
+    def promise(self, units: Units) -> Float[np.ndarray, " z"]:
+        """Half the chi-square that one more undamped step promises to save, by what each z contributes."""
         g = self.scores.sum(0) + units.precision * self.z
         curvature = self.information.sum(0) + np.diag(units.precision)
-        return 0.5 * float(g @ np.linalg.solve(curvature, g))
+        return 0.5 * g * np.linalg.solve(curvature, g)
 
 
 def entries_at(freed: Freed, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

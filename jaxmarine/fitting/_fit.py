@@ -10,11 +10,12 @@ from jaxtyping import Float, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
+from .._types import CHANNEL_UNITS, CHANNELS, DOFS
 from ..logs import Log
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
-from ._free import Select, Selection, set_free
+from ._free import Freed, Select, Selection, set_free
 from ._noise import noise_of
 from ._one_step import fit_one_step
 from ._review import reviewed
@@ -23,6 +24,12 @@ from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 
 # Half a chi-square that is not worth another step: a third of a standard error.
 _WITHIN_NOISE = 0.05
+# With an inertia so many times that of the start, or its inverse, it is another craft, or other units.
+_OTHER_CRAFT = 10.0
+# Damping that makes an axis faster by this share in a second [1/s] drives it; less is rounding.
+_DRIVEN = 0.02
+# A channel that is missed by so many times its noise is told: the noise itself is known to a factor of three.
+_FAR = 3.0
 # Lines of undetermined combinations that a printed fit shows.
 _SHOWN = 6
 
@@ -38,8 +45,11 @@ class Fit:
     - `vehicle`, and the `start` it was fitted from.
     - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do
       not determine.
-    - `reduced_chi2`: chi-square per degree of freedom; 1 where noise alone is left. For the
-      one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
+    - `reduced_chi2`: chi-square per degree of freedom in units of `noise`; 1 where noise alone is left. For
+      the one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
+    - `left` [18]: root mean square error that the model leaves in each channel over a window, NaN where it
+      was not measured; `weighed` [18]: standard deviations that the channels counted by in the end, which are
+      `noise` where that is all that is left, and larger where it is not (trajectory loss).
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `coverage`: the motion that the fit has seen, per free axis.
     - `loss`, `window` [s], `noise` [18]: settings that it was made with.
@@ -58,6 +68,8 @@ class Fit:
     loss: str
     window: float
     noise: Float[np.ndarray, "18"]
+    left: Float[np.ndarray, "18"]
+    weighed: Float[np.ndarray, "18"]
     rejected: Float[np.ndarray, " rejected"]
     notes: tuple[str, ...]
 
@@ -116,8 +128,9 @@ def fit(
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.
-    - `prior`: width relative to the start values (of an inertia: to the total mass), or standard
-      deviations in the structure of `free(vehicle)`, where 0 holds an entry and inf means none.
+    - `prior`: width relative to the start values (of an inertia: to the total mass; of a thrust: of its
+      logarithm), or standard deviations in the structure of `free(vehicle)`, where 0 holds an entry and
+      inf means none. What the logs do not determine stays at the start by it, with that standard error.
       A learned network needs one, as its weights are never all determined.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
     - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
@@ -127,12 +140,13 @@ def fit(
     - `max_steps`: of each solve, those included that found no decrease. There are up to two: a stiffer
       vehicle is fitted again with finer integration, and one-step weighs axes anew.
     - `throw`: raises where the fit did not succeed; False: `converged` and `result` tell.
-    - `noise`: standard deviation per channel, NaN for those not to use; default: what the vehicle
-      states, else estimated from the logs.
+    - `noise`: standard deviation that each channel counts by, NaN for those not to use; default: that of the
+      sensors (what the vehicle states, else estimated from the logs), raised to what the model leaves in the
+      channel and for how many of its samples are worth one (`_weights`), but at the beginning of each window.
 
-    The total mass matrix stays symmetric and positive definite, whatever is free of it. Accidents that a
-    log shows are left out (`Log.rejected`); `reject` makes the loss robust against what else the model lacks
-    in a few windows.
+    The total mass matrix stays symmetric and positive definite, whatever is free of it, an added mass
+    positive where the start's is, and thrusts keep their sign. Accidents that a log shows are left out
+    (`Log.rejected`); `reject` makes the loss robust against what else the model lacks in a few windows.
 
     Raises `InputError` for logs that cannot be fitted (none, too short, too slowly sampled, nothing that ever
     changes), `ValueError` for arguments that no fit can have and without double precision, and, with `throw`,
@@ -151,15 +165,16 @@ def fit(
     if reject and loss == "one_step":
         raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
     logs, notes = reviewed(vehicle, logs)
+    weigh = noise is None
     noise = noise_of(vehicle, logs) if noise is None else noise
     freed, scales = set_free(vehicle, free, prior, entries, dissipative)
     z_units = units(freed, scales)
     if loss == "trajectory":
         held = starts == "measured"
-        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject)
+        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh)
     else:
         estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
-    estimate = _judged(estimate, z_units)
+    estimate = _judged(estimate, freed, z_units, logs)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")
     return Fit(
@@ -174,30 +189,75 @@ def fit(
         loss=loss,
         window=window,
         noise=noise,
+        left=estimate.left * noise,
+        weighed=estimate.weighed * noise,
         rejected=estimate.rejected,
-        notes=notes,
+        notes=(*notes, *(_missed(vehicle, logs, estimate, noise, window) if weigh else ())),
     )
 
 
-def _judged(estimate: Estimate, units: Units) -> Estimate:
-    """The estimate with its result in words that say what to change."""
+def _judged(estimate: Estimate, freed: Freed, units: Units, logs: Sequence[Log]) -> Estimate:
+    """The estimate with its result in words: converged, or why not and what to do."""
+
+    def failed(what: str) -> Estimate:
+        return dataclasses.replace(estimate, converged=False, result=what)
+
     advice = "start nearer, give a prior, or take a shorter `window`."
+    where = f"; it goes wrong most in {estimate.worst}" if estimate.worst else ""
     if not estimate.finite:
-        return dataclasses.replace(estimate, converged=False, result=f"the simulation diverged; {advice}")
-    promise = estimate.promise(units)
-    if not estimate.converged and promise < _WITHIN_NOISE:
+        return failed(f"the simulation diverged{where}; {advice}")
+    parts = estimate.promise(units)
+    promise = float(parts.sum())
+    if (not estimate.converged and promise >= _WITHIN_NOISE) or promise > max(1.0, 1e-3 * estimate.chi2):
+        name = freed.names[int(np.argmax(parts))]
+        return failed(
+            f"after {estimate.steps} steps {promise:.2g} nats could still be gained, most by {name}{where}; "
+            f"raise `max_steps`, {advice}"
+        )
+    senseless = _senseless(freed, freed(jnp.asarray(estimate.raw)), logs)
+    if senseless:
+        return failed(f"it ended where {senseless}{where}; check units and signs, or give a prior.")
+    if not estimate.converged:
         # It creeps along what the data do not determine.
         return dataclasses.replace(estimate, converged=True, result="converged within the noise")
-    if not estimate.converged:
-        return dataclasses.replace(
-            estimate,
-            result=f"{estimate.result} After {estimate.steps} steps: raise `max_steps`, {advice}",
-        )
-    if promise > max(1.0, 1e-3 * estimate.chi2):
-        return dataclasses.replace(
-            estimate, converged=False, result=f"it stopped short of the minimum; {advice}"
-        )
     return estimate
+
+
+def _senseless(freed: Freed, fitted: Vehicle, logs: Sequence[Log]) -> str:
+    """Which number of a fitted vehicle no craft of the start's kind has, in words, or nothing."""
+    before, after = (np.diag(np.asarray(one.mass_matrix)) for one in (freed.vehicle, fitted))
+    for i in np.flatnonzero(np.asarray(freed.vehicle.free)):
+        ratio = after[i] / before[i]
+        if not 1 / _OTHER_CRAFT < ratio < _OTHER_CRAFT:
+            return f"the inertia in {DOFS[i]} is {ratio:.2g} times that of the start"
+    seen = {axis.dof: axis.velocity_rms for axis in coverage(logs, fitted.dof)}
+    for i, dof in enumerate(DOFS):
+        if dof in seen:
+            force = fitted.damping.linear[i, i] + fitted.damping.quadratic[i, i] * seen[dof]
+            started = freed.vehicle.damping.linear[i, i] + freed.vehicle.damping.quadratic[i, i] * seen[dof]
+            if force < -_DRIVEN * after[i] and started >= 0:
+                return f"damping drives {dof} instead of braking it"
+    return ""
+
+
+def _missed(
+    vehicle: Vehicle, logs: Sequence[Log], estimate: Estimate, noise: np.ndarray, window: float
+) -> list[str]:
+    """A note on channels that the model misses by far more than their sensors' noise."""
+    far = np.flatnonzero(np.nan_to_num(estimate.left) > _FAR)
+    if not far.size or not estimate.finite:
+        return []
+    stated = np.isfinite(vehicle.stated_noise)
+    errors = ", ".join(
+        f"{CHANNELS[i]} by {estimate.left[i] * noise[i]:.2g} {CHANNEL_UNITS[CHANNELS[i]]} "
+        f"({'stated' if stated[i] else 'jitter'} {noise[i]:.2g})"
+        for i in far
+    )
+    names = logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
+    return [
+        f"{names}: over windows of {window:g} s the model misses {errors}; channels were weighed by what is "
+        "missed, which is an error of the model rather than of the sensors."
+    ]
 
 
 def _table(parameters: tuple[Parameter, ...]) -> list[str]:

@@ -26,6 +26,11 @@ Select = Callable[[Vehicle], Any]
 # Damping that brakes by this share in a second (at 1 m/s or rad/s): the size of an entry whose axis
 # has none in the file.
 _BRAKING = 0.2
+# Share of an axis' total inertia below which a fitted one fades out instead of becoming negative, and the
+# share at which an added mass of zero begins.
+_SOFT, _NOTHING = 0.02, 0.01
+# Leaves that are positive by what they are.
+_SCALES = ("thrusters.max_thrust",)
 # A dissipative matrix starts with at least this share of its size in every direction, because its
 # factor has no slope at zero.
 _FLOOR = 1e-2
@@ -65,20 +70,49 @@ class Entries(AbstractPart):
         return raw
 
 
+class Scale(AbstractPart):
+    """A leaf of positive numbers, by their logarithms: a thrust that is fitted keeps its direction.
+
+    `base` holds what is not free; `places`: of the free ones in the flat leaf, which are the entries.
+    """
+
+    start: Float[Array, " own"]
+    base: Array
+    names: tuple[str, ...] = eqx.field(static=True)
+    places: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, raw: Float[Array, " own"]) -> Array:
+        return self.base.ravel().at[np.array(self.places)].set(jnp.exp(raw)).reshape(self.base.shape)
+
+    def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
+        return jnp.exp(raw)
+
+
+def _faded(raw: Array, soft: Array) -> Array:
+    """The raw number where it is far above `soft`, a positive one that fades out where it is below."""
+    root = jnp.sqrt(raw**2 + 4.0 * soft**2)
+    # The same twice: a difference of large numbers would leave their rounding.
+    return jnp.where(raw > 0.0, (raw + root) / 2.0, 2.0 * soft**2 / (root - raw))
+
+
 class Inertia(AbstractPart):
-    r"""Added mass or rigid-body matrix such that the total stays positive definite.
+    r"""Added mass or rigid-body matrix that stays positive, and with it the total mass.
 
-    $M_{RB} + M_A = R + L L^T$ on the free axes, `L` lower triangular with the logarithm of its
-    diagonal as raw numbers. `rest` is R, positive semidefinite: zero where the whole block is free,
-    else it carries the entries that are held. `other` is the summand that is not free.
+    The leaf is a positive definite matrix $L L^T$ on the free entries beside what is held. `L` is lower
+    triangular; its diagonal is the root of a hyperbola over the raw numbers x,
+    $L_{ii}^2 = (x_i + \sqrt{x_i^2 + 4 s_i^2}) / 2$: far above s_i (`soft`) the raw number is the inertia
+    itself, so that a normal prior on it is one on the inertia; below, it fades out and never becomes
+    negative. `rest` is R in $M_{RB} + M_A = R + L L^T$: all that is held, `other` the summand that is not
+    free.
 
-    Source: Pinheiro and Bates (1996), Statistics and Computing 6, 289-296 (log-Cholesky).
+    Source: Pinheiro and Bates (1996), Statistics and Computing 6, 289-296, a hyperbola for their logarithm.
     """
 
     start: Float[Array, " own"]
     leaf: Matrix6
     other: Float[Array, "axes axes"]
     rest: Float[Array, "axes axes"]
+    soft: Float[Array, " axes"]
     names: tuple[str, ...] = eqx.field(static=True)
     axes: tuple[int, ...] = eqx.field(static=True)
     lower: tuple[tuple[int, int], ...] = eqx.field(static=True)
@@ -90,8 +124,10 @@ class Inertia(AbstractPart):
 
     def __call__(self, raw: Float[Array, " own"]) -> Matrix6:
         rows, columns = np.array(self.lower).T
+        soft = self.soft[rows]
+        diagonal = jnp.sqrt(_faded(raw, soft))
         factor = jnp.zeros_like(self.rest)
-        factor = factor.at[rows, columns].set(jnp.where(rows == columns, jnp.exp(raw), raw))
+        factor = factor.at[rows, columns].set(jnp.where(rows == columns, diagonal, raw))
         total = self.rest + factor @ factor.T
         return self.leaf.at[np.ix_(self.axes, self.axes)].set(total - self.other)
 
@@ -233,6 +269,10 @@ def set_free(
             part = make(name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
+        elif name in _SCALES and (np.asarray(leaf) > 0).all() and not held.all():
+            part = _scale(vehicle, name, np.asarray(leaf), held)
+            flat = _places_of(part)
+            size = np.asarray(leaf).ravel()[flat]
         else:
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
             flat = _places_of(part)
@@ -340,12 +380,13 @@ def _remainder(matrix: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _inertia_remainder(total: np.ndarray, fixed: np.ndarray, blocks: np.ndarray):
-    """R and P of the total; R from what is not free where that is positive, as it bounds less."""
-    if _positive(fixed):
-        rest, _ = _remainder(fixed, blocks)
-        own = np.where(blocks, total - rest, 0.0)
-        if _positive(own + np.diag(~blocks.diagonal() * 1.0)):
-            return total - own, own
+    """R and P of the total; R is all that is not free, where that is positive and leaves P so."""
+    own = np.where(blocks, total - fixed, 0.0)
+    # An entry of zero has no slope: what it starts from instead shows in no log.
+    empty = blocks.diagonal() & (own.diagonal() == 0)
+    own = own + np.diag(_NOTHING * empty * total.diagonal())
+    if _positive(fixed) and _positive(own + np.diag(~blocks.diagonal() * 1.0)):
+        return fixed, own
     return _remainder(total, blocks)
 
 
@@ -359,8 +400,10 @@ def _matrix_places(axes, pairs) -> np.ndarray:
     return rows * 6 + columns
 
 
-def _places_of(part: Entries | Inertia | Dissipative) -> np.ndarray:
+def _places_of(part: Entries | Scale | Inertia | Dissipative) -> np.ndarray:
     """Flat places in the leaf of a part's entries."""
+    if isinstance(part, Scale):
+        return np.array(part.places)
     if isinstance(part, Entries):
         return np.argmax(np.asarray(part.spread), axis=0)
     return _matrix_places(part.axes, part.pairs)
@@ -388,12 +431,14 @@ def _inertia(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) ->
     rest, own = _inertia_remainder(total, total - held, blocks)
     lower = tuple((int(i), int(j)) for i, j in zip(*np.nonzero(np.tril(blocks)), strict=True))
     factor = np.linalg.cholesky(own + np.diag(~blocks.diagonal() * 1.0))
-    raw = [np.log(factor[i, j]) if i == j else factor[i, j] for i, j in lower]
+    soft = _SOFT * total.diagonal()
+    raw = [factor[i, i] ** 2 - (soft[i] / factor[i, i]) ** 2 if i == j else factor[i, j] for i, j in lower]
     return Inertia(
         start=jnp.asarray(np.array(raw, float)),
         leaf=jnp.asarray(leaf),
         other=jnp.asarray(other),
         rest=jnp.asarray(rest),
+        soft=jnp.asarray(soft),
         names=tuple(_entry(name, axes[i], axes[j], ",") for i, j in lower),
         axes=tuple(axes.tolist()),
         lower=lower,
@@ -447,6 +492,17 @@ def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndar
         names = _labels(vehicle, name, leaf)
     kept = [k for k, group in enumerate(groups) if not held.ravel()[list(group)].all()]
     return _entries(leaf, [groups[k] for k in kept], [names[k] for k in kept])
+
+
+def _scale(vehicle: Vehicle, name: str, leaf: np.ndarray, held: np.ndarray) -> Scale:
+    places = np.flatnonzero(~held.ravel())
+    labels = _labels(vehicle, name, leaf)
+    return Scale(
+        start=jnp.log(jnp.asarray(leaf.ravel()[places])),
+        base=jnp.asarray(leaf),
+        names=tuple(labels[k] for k in places),
+        places=tuple(places.tolist()),
+    )
 
 
 def _of_target(vehicle: Vehicle, path) -> tuple[list[tuple[int, ...]] | None, list[str] | None]:

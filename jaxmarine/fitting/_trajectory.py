@@ -9,14 +9,16 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Float
 
+from .._types import CHANNELS
 from ..logs import Log
 from ..simulation import gates, substeps
 from ..vehicle import Vehicle
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
 from ._linearise import Affine
-from ._rollout import Problem, measured_channels, start_precision
+from ._rollout import Problem, measured_channels, predict, start_precision
 from ._solver import Refined, Task, refine_windows
+from ._weights import largest, overdispersion, scaled, settled
 from ._windows import Cut, cut
 
 # Costly windows lie so many robust standard deviations above the median.
@@ -25,6 +27,14 @@ _COSTLY = 5.0
 # off the first ten may go into finding the damping. How many judgements keep but the better half, and how
 # many there are at most.
 _JUDGING, _BETWEEN, _HALVING, _JUDGEMENTS = 4, 16, 4, 12
+# Solves at most, each with the weights that the one before asks for: from far off two or three find the
+# model, and as many more its weights.
+_WEIGHINGS = 8
+# Windows that a start which runs away is first mended over are no shorter than this [s].
+_SHORTEST = 0.5
+# Steps of each but the last, and the share of the cost that one must promise: the next has other weights. The
+# last ends where a step promises nothing any more.
+_ROUGH_STEPS, _ROUGH, _FINE = 12, 1e-3, 1e-9
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -61,10 +71,12 @@ def fit_trajectory(
     max_steps: int,
     held: bool,
     reject: bool,
+    weigh: bool,
 ) -> Estimate:
     """Minimises the chi-square of the windows over z and all initial states, unless those are held.
 
     - `reject`: leaves out costly windows, see `_without_costly`.
+    - `weigh`: channels count by what the model leaves in them, where that is more than `noise`.
     """
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
@@ -73,12 +85,15 @@ def fit_trajectory(
     split, steps = substeps(vehicle, data.hold), 0
     while True:
         task = window_task(freed, units, data, acting, split, held)
-        at, delta = jnp.asarray(z), jnp.zeros((data.windows.count, 12))
-        if reject:
-            task, at, delta = _without_costly(task, at, delta)
-        refined = refine_windows(task, at, delta, max_steps)
-        steps += int(refined.steps)
-        now = _estimate(freed, units, data, task, refined, steps)
+        solved = _solved(task, jnp.asarray(z), logs[0].dt, max_steps, reject, weigh)
+        steps += solved.steps
+        now = _estimate(freed, units, data, task, solved, steps)
+        if not now.finite and best is None and window > 2 * _SHORTEST:
+            # The start runs away before a window has ended; over shorter ones it may be mended.
+            nearer = fit_trajectory(freed, units, logs, noise, window / 2, max_steps, held, reject, weigh)
+            if nearer.finite and nearer.z.any() and not z.any():
+                z = nearer.z
+                continue
         if not now.finite:
             # Finer steps from a point far off may fail where coarse ones had ended.
             return now if best is None else best
@@ -87,6 +102,54 @@ def fit_trajectory(
         if needed <= split or best is not None:
             return now
         split, z, best = needed, now.z, now
+
+
+@dataclasses.dataclass(frozen=True)
+class _Solved:
+    """Where a solve ended, the task as it was weighed there, factors of the noise, and steps in all.
+
+    - `residual`: in units of the sensors' own noise, NaN where nothing was measured or used.
+    """
+
+    task: Task
+    refined: Refined
+    factor: Float[np.ndarray, "18"]
+    steps: int
+    residual: Float[np.ndarray, "windows steps 18"]
+
+
+def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool) -> _Solved:
+    """Solves with weights that the solution confirms.
+
+    What a channel weighs and what the model leaves in it are found by turns: first each weighs by how much
+    it changes, under which a file that is far off is pulled gently; then by what the last solve left.
+    Source: the relaxation of the noise's covariance in output-error fits, after Maine and Iliff (1986).
+    """
+    windows = task.problem.windows
+    own, delta = np.asarray(windows.weight), jnp.zeros((windows.count, 12))
+    most = largest(np.asarray(windows.measured), own) if weigh else np.ones(own.shape[2])
+    factor, last, steps = most, not weigh, 0
+    for weighing in range(_WEIGHINGS):
+        last = last or weighing == _WEIGHINGS - 1
+        weighed = _with_weight(task, scaled(own, factor, dt))
+        if reject:
+            weighed, z, delta = _without_costly(weighed, z, delta)
+        left = max_steps - steps
+        how = (left, _FINE) if last else (min(_ROUGH_STEPS, left), _ROUGH)
+        refined = refine_windows(weighed, z, delta, *how)
+        steps += int(refined.steps)
+        z, delta = refined.z, refined.delta
+        used = own * (np.asarray(weighed.problem.windows.weight) > 0)
+        residual = np.asarray(predict(_with_weight(task, used).problem, task.affine(z), delta)[1])
+        if last or steps >= max_steps or not np.isfinite(refined.cost):
+            break
+        before, factor = factor, overdispersion(residual, used, most)
+        last = settled(before, factor)
+    return _Solved(weighed, refined, factor, steps, np.where(used > 0, residual, np.nan))
+
+
+def _with_weight(task: Task, weight: np.ndarray) -> Task:
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight))
 
 
 def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
@@ -140,30 +203,55 @@ def _without_costly(task: Task, z, delta):
     return task, z, delta
 
 
-def _estimate(freed: Freed, units: Units, data: Cut, task: Task, refined: Refined, steps: int) -> Estimate:
-    chi2, scores, information = refined.stats.reduced()
+def _estimate(freed: Freed, units: Units, data: Cut, task: Task, solved: _Solved, steps: int) -> Estimate:
+    refined, residual = solved.refined, solved.residual
+    _, scores, information = refined.stats.reduced()
     # Components of the initial states that the data hold, rather than their weak prior.
     pull = np.asarray(task.problem.start_precision)
     try:
         loose = np.einsum("wii,i->", np.linalg.inv(np.asarray(refined.stats.h_xx)), pull)
     except np.linalg.LinAlgError:  # of a roll-out that diverged; the cost says so
         loose = 0.0
-    weight = np.asarray(task.problem.windows.weight)
-    samples = int((weight > 0).sum())
+    seen = np.isfinite(residual)
     z = np.asarray(refined.z)
+    weight = np.asarray(solved.task.problem.windows.weight)
     return Estimate(
         z=z,
         raw=np.asarray(freed.start) + units.map @ z,
         scores=np.asarray(scores),
         information=np.asarray(information),
-        spurious=spurious(task, refined),
-        chi2=float(chi2.sum()),
-        freedom=samples - (12 * data.windows.count - float(loose)) - len(z),
+        spurious=spurious(solved.task, refined),
+        chi2=float(np.nansum(residual**2)) if np.isfinite(refined.cost) else np.inf,
+        freedom=int(seen.sum()) - (12 * data.windows.count - float(loose)) - len(z),
         steps=steps,
         converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),
         result=optx.RESULTS[refined.result] or "converged",
         rejected=data.starts[(weight == 0).all(axis=(1, 2))],
+        weighed=solved.factor,
+        left=_root_mean_square(residual),
+        worst=_worst(data, task, solved),
     )
+
+
+def _root_mean_square(residual: np.ndarray) -> Float[np.ndarray, "18"]:
+    """Of each channel, NaN where it was not measured."""
+    count = np.isfinite(residual).sum(axis=(0, 1))
+    return np.sqrt(np.where(count > 0, np.nansum(residual**2, axis=(0, 1)) / np.maximum(count, 1), np.nan))
+
+
+def _worst(data: Cut, task: Task, solved: _Solved) -> str:
+    """Where a fit that fails goes wrong most: log, time and channel of the largest residual, as weighed.
+
+    One that diverged has moved nothing: then where the start does.
+    """
+    windows = solved.task.problem.windows
+    weight = np.asarray(windows.weight)
+    error = np.asarray(predict(solved.task.problem, task.affine(solved.refined.z), solved.refined.delta)[1])
+    error = np.where(weight > 0, np.nan_to_num(error**2, nan=np.inf, posinf=np.inf), 0.0)
+    window = int(np.argmax(error.sum(axis=(1, 2))))
+    channel = CHANNELS[int(np.argmax(error[window].sum(axis=0)))]
+    log = data.logs[int(np.asarray(windows.log)[window])]
+    return f"{log.name} from t = {data.starts[window]:.6g} s on, in `{channel}`"
 
 
 def spurious(task: Task, refined: Refined) -> np.ndarray:

@@ -44,7 +44,8 @@ _TO_STD = 1.4826 / np.sqrt(6)
 def clean(log: Log) -> Log:
     """The log with spikes and dropouts as missing samples, and a sentence per channel on them in its notes.
 
-    Steps of a coarse sensor are told too; they stay as they are.
+    Samples of a sensor that is slower than the rows of the log, and that every row repeats until the next one
+    comes, are measured once each. Steps of a coarse sensor are told too; they stay as they are.
 
     - A *spike* is at most three samples that leave both neighbours to the same side and come back, by ten
       standard deviations of the noise and by three times all that the channel changes by from one sample to
@@ -56,9 +57,9 @@ def clean(log: Log) -> Log:
     the channel is left alone and the note says so. Cleaning again changes nothing.
     """
     jumps = command_jumps(log)
-    channels, notes = log.channels.copy(), []
+    channels, notes = _without_repeats(log)
     for index, name in enumerate(CHANNELS):
-        values = log.channels[:, index]
+        values = channels[:, index].copy()
         spikes, dropouts = _defects(log.t, values, name, jumps)
         count = int(np.isfinite(values).sum())
         found = {"spikes": (spikes, _MOST_SPIKES), "dropouts": (dropouts, _MOST_DROPOUTS)}
@@ -77,6 +78,36 @@ def clean(log: Log) -> Log:
     if not notes:
         return log
     return dataclasses.replace(log, channels=channels, notes=(*log.notes, *notes))
+
+
+def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[str]]:
+    """The channels without rows that only repeat an older sample, and a note on those.
+
+    Where a value commonly changes every so many rows only, it comes from a sensor so many times slower than the
+    log: what stands in between is old by up to that time. Where it lasts for more than two such times, as at
+    rest, a sample counts for each of them.
+    """
+    channels, slow = log.channels.copy(), dict[int, list[str]]()
+    for index, name in enumerate(CHANNELS):
+        seen = np.flatnonzero(np.isfinite(log.channels[:, index]))
+        values = log.channels[seen, index]
+        first = np.flatnonzero(np.append(True, np.diff(values) != 0))
+        if len(first) < _FEWEST:
+            continue
+        rows = np.diff(np.append(first, len(values)))
+        period = int(np.quantile(rows[:-1], 0.5, method="lower"))
+        if period < 2:
+            continue
+        since, lasts = np.arange(len(values)) - np.repeat(first, rows), np.repeat(rows, rows)
+        measured = (since == 0) | ((since % period == 0) & (lasts > 2 * period))
+        channels[seen[~measured], index] = np.nan
+        slow.setdefault(period, []).append(name)
+    notes = [
+        f"{log.name}: {', '.join(f'`{name}`' for name in names)} come{'s' if len(names) == 1 else ''} every "
+        f"{period * log.dt:.2g} s, and rows in between repeat what is old by then; each sample counts once."
+        for period, names in slow.items()
+    ]
+    return channels, notes
 
 
 def _note(log: str, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> str:

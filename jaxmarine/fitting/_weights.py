@@ -1,0 +1,82 @@
+"""How much the samples of a window weigh: by what they tell of the model, not by how little they jitter.
+
+An error of the model grows along a window, is alike from sample to sample, and is often far larger than the
+noise of the sensors; an estimator's output (a Kalman filter's) hardly jitters at all. A sample that counted
+by its jitter alone would outweigh every prior and every other channel. Here each channel counts by the error
+that the model leaves in it over the windows, and by how many of its samples are worth one; the first sample
+of each window keeps the sensor's own noise, because no error of the model has grown there yet.
+"""
+
+import numpy as np
+from jaxtyping import Array, Float
+
+# What is first measured within this time of a window's beginning holds its start [s]: in half a second the
+# velocity of a craft hardly changes by what a model lacks.
+_EARLY = 0.5
+# Weights are settled where none changes by more than this share: standard errors are not known better from a
+# hundred independent samples.
+_SETTLED = 0.1
+
+
+def begun_at_sensors(
+    weight: Float[np.ndarray, "windows steps 18"], dt: float
+) -> Float[np.ndarray, "windows steps 18"]:
+    """1 at the first measured sample of each channel and window, if it comes early; 0 elsewhere."""
+    seen = weight > 0
+    first = seen & (np.cumsum(seen, axis=1) == 1)
+    first[:, 1 + int(_EARLY / dt) :] = False
+    return first.astype(float)
+
+
+def scaled(
+    weight: Float[np.ndarray, "windows steps 18"], factor: Float[np.ndarray, "18"], dt: float
+) -> Float[np.ndarray, "windows steps 18"]:
+    """The weights for noise that is raised by a factor per channel, but at the beginning of each window."""
+    first = begun_at_sensors(weight, dt)
+    return weight * (first + (1.0 - first) / factor)
+
+
+def largest(
+    measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
+) -> Float[np.ndarray, "18"]:
+    """Factors that raise a channel's noise to what it changes by in windows, the most it can be missed by."""
+    changes = np.ma.masked_array(measured * weight, weight == 0).std(axis=1) ** 2
+    return np.maximum(np.sqrt(changes.mean(axis=0).filled(1.0)), 1.0)
+
+
+def overdispersion(
+    residual: Float[Array | np.ndarray, "windows steps 18"],
+    weight: Float[Array | np.ndarray, "windows steps 18"],
+    most: Float[np.ndarray, "18"],
+) -> Float[np.ndarray, "18"]:
+    r"""Factors that raise the noise of each channel to what the model leaves in it; 1 where that is noise.
+
+    - `residual`: prediction minus measured, in units of the sensors' noise; `weight`: 0 where not measured.
+
+    The root mean square, no more than `most` (a channel that is missed would else be missed the more), times
+    the root of how many neighbouring samples are worth one, $1 + 2 \sum_l (1 - l / n) \rho_l$ over the lags l
+    up to the first that is not positive (after Geyer 1992), at most the window's n samples.
+    """
+    seen = (np.asarray(weight) > 0).astype(float)
+    error = np.where(seen > 0, np.asarray(residual), 0.0)
+    count = np.maximum(seen.sum(axis=(0, 1)), 1.0)
+    variance = (error**2).sum(axis=(0, 1)) / count
+    size = np.minimum(variance, most**2)
+    steps = error.shape[1]
+    alike, going = np.ones(error.shape[2]), variance > 0
+    for lag in range(1, steps):
+        pairs = (seen[:, lag:] * seen[:, :-lag]).sum(axis=(0, 1))
+        product = (error[:, lag:] * error[:, :-lag]).sum(axis=(0, 1))
+        measured = pairs > 0
+        correlation = np.where(measured, product / np.maximum(pairs, 1.0), 0.0) / np.maximum(variance, 1e-300)
+        # A lag at which nothing was measured (a slow sensor) tells nothing and ends nothing.
+        going &= (correlation > 0) | ~measured
+        alike += 2.0 * np.where(going, correlation * pairs / count, 0.0)
+        if not going.any():
+            break
+    return np.sqrt(np.maximum(size * alike, 1.0))
+
+
+def settled(before: Float[np.ndarray, "18"], after: Float[np.ndarray, "18"]) -> bool:
+    """Whether factors have hardly changed."""
+    return bool(np.abs(np.log(after / before)).max() < np.log1p(_SETTLED))
