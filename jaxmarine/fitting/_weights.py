@@ -21,10 +21,14 @@ _SETTLED = 0.1
 def begun_at_sensors(
     weight: Float[np.ndarray, "windows steps 18"], dt: float
 ) -> Float[np.ndarray, "windows steps 18"]:
-    """1 at the first measured sample of each channel and window, if it comes early; 0 elsewhere."""
+    """1 at the first measured sample of each channel and window, if it comes early; 0 elsewhere.
+
+    Not of accelerations: those a model misses from the first sample on.
+    """
     seen = weight > 0
     first = seen & (np.cumsum(seen, axis=1) == 1)
     first[:, 1 + int(_EARLY / dt) :] = False
+    first[..., 12:] = False
     return first.astype(float)
 
 
