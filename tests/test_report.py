@@ -56,6 +56,8 @@ def vehicle(name: str = "catamaran", dof: tuple[str, ...] = PLANAR) -> Vehicle:
             lag=jnp.zeros(2),
             delay=jnp.zeros(2),
             saturation=jnp.ones(2),
+            max_thrust_reverse=jnp.full(2, jnp.nan),
+            quadratic=jnp.zeros(2),
         ),
         density=jnp.array(1025.0),
         gravity=jnp.array(9.81),

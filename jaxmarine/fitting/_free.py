@@ -206,8 +206,8 @@ def set_free(
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
     - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero:
-      to its typical size), or standard deviations in the structure of `free(vehicle)`: 0 holds an
-      entry, inf leaves it without prior.
+      to its typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`), or standard
+      deviations in the structure of `free(vehicle)`: 0 holds an entry, inf leaves it without prior.
     - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of
       locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
@@ -234,6 +234,9 @@ def set_free(
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
         else:
+            if name == "thrusters.max_thrust_reverse":
+                # Where the file states none it is fitted by itself from there on, or held to be `max_thrust`.
+                leaf = np.where(held, leaf, vehicle.thrusters.reverse)
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
             flat = _places_of(part)
             value = np.abs(np.asarray(leaf).ravel()[flat])
