@@ -24,7 +24,15 @@ from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import search
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._worth import buys_nothing
-from jaxmarine.effects import CATALOGUE, Saturation, ThrusterGain
+from jaxmarine.effects import (
+    CATALOGUE,
+    AddedMass,
+    LinearDamping,
+    QuadraticDamping,
+    ReverseThrust,
+    Saturation,
+    ThrusterGain,
+)
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate
@@ -57,7 +65,8 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
     """A boat that only goes ahead has no thrust astern to tell of; one of its thrusters is weak."""
     craft = boat()
     weak = craft.place(Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0]))))
-    bench = workbench(craft, (record(weak, np.abs(steps(900))),), CATALOGUE, None)
+    few = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain, ReverseThrust)
+    bench = workbench(craft, (record(weak, np.abs(steps(600))),), few, None)
     model = bench.fitted(bench.start())
     stats = bench.screen(model)
     labels = [one.label for one in bench.layout.suspects]
