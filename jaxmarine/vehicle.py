@@ -106,7 +106,7 @@ class Damping(eqx.Module):
 class Thrusters(eqx.Module):
     """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`.
 
-    `max_thrust_reverse` [N] is NaN where the file states none: the thruster then gives `max_thrust` backwards
+    `max_thrust_reverse` [N] is 0 where the file states none: the thruster then gives `max_thrust` backwards
     too, whatever a fit makes of that.
     """
 
@@ -123,7 +123,7 @@ class Thrusters(eqx.Module):
     @property
     def reverse(self) -> Float[Array, " thrusters"]:
         """Thrust at command -1, backwards [N], stated or not."""
-        return jnp.where(jnp.isnan(self.max_thrust_reverse), self.max_thrust, self.max_thrust_reverse)
+        return jnp.where(self.max_thrust_reverse == 0.0, self.max_thrust, self.max_thrust_reverse)
 
     def drive(self) -> Drive:
         one = jnp.ones_like(self.max_thrust)

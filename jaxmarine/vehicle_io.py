@@ -1,7 +1,6 @@
 """Vehicles in files: TOML read into a `Vehicle` and written back, learned terms beside it."""
 
 import dataclasses
-import math
 import os
 import zipfile
 import zlib
@@ -20,7 +19,7 @@ from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, rigid_body, write_vehicle_file
 from .vehicle_file import Slider as SliderTable
 
-# Numbers of a thruster beside its place; NaN stands for one that the file leaves out.
+# Numbers of a thruster beside its place.
 _OF_THRUSTER = ("max_thrust", "max_thrust_reverse", "quadratic", "deadband", "lag", "delay", "saturation")
 _LEARNED = {cls.name: cls for cls in LEARNED}
 # The networks of a learned term hold some thousand numbers.
@@ -96,7 +95,8 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
 
 def _vehicle(file: VehicleFile) -> Vehicle:
     def column(name: str, width: tuple[int, ...] = ()):
-        values = [getattr(thruster, name) for thruster in file.thruster]
+        # Only the thrust astern may be left out, which zero stands for.
+        values = [getattr(thruster, name) or 0.0 for thruster in file.thruster]
         return jnp.asarray(np.array(values, float).reshape(len(values), *width))
 
     def number(value):
@@ -261,7 +261,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
 def _thruster_numbers(thrusters: Thrusters, i: int) -> dict[str, float]:
     numbers = {key: float(getattr(thrusters, key)[i]) for key in _OF_THRUSTER}
     # Left out, it is as `max_thrust`.
-    if math.isnan(numbers["max_thrust_reverse"]) or numbers["max_thrust_reverse"] == numbers["max_thrust"]:
+    if numbers["max_thrust_reverse"] in (0.0, numbers["max_thrust"]):
         del numbers["max_thrust_reverse"]
     return numbers
 

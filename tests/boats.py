@@ -40,7 +40,7 @@ def boat(dof: tuple[str, ...] = PLANAR, sensors: Mapping[str, float] | None = No
             lag=jnp.zeros(3),
             delay=jnp.zeros(3),
             saturation=jnp.ones(3),
-            max_thrust_reverse=jnp.full(3, jnp.nan),
+            max_thrust_reverse=jnp.zeros(3),
             quadratic=jnp.zeros(3),
         ),
         density=jnp.asarray(1025.0),

@@ -56,7 +56,7 @@ def vehicle(name: str = "catamaran", dof: tuple[str, ...] = PLANAR) -> Vehicle:
             lag=jnp.zeros(2),
             delay=jnp.zeros(2),
             saturation=jnp.ones(2),
-            max_thrust_reverse=jnp.full(2, jnp.nan),
+            max_thrust_reverse=jnp.zeros(2),
             quadratic=jnp.zeros(2),
         ),
         density=jnp.array(1025.0),

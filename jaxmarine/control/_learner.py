@@ -123,7 +123,7 @@ class Learner:
         except np.linalg.LinAlgError:
             # Where the roll-outs diverge from the start the information is singular: nothing to go by.
             return None
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(self.free(vehicle)))
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(vehicle))
         return vehicle if finite else None
 
 
