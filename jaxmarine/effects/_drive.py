@@ -25,11 +25,11 @@ def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
     return (Suspect(cls, None, {name: (0,)}, tuple({name: start} for start in starts)),)
 
 
-def _each_and_all(cls, craft: Craft, name: str) -> tuple[Suspect, ...]:
-    """The suspects of an effect with a number for each thruster: each by itself, and all by one number."""
+def _each_and_all(cls, craft: Craft) -> tuple[Suspect, ...]:
+    """The suspects of an effect with a factor for each thruster: each by itself, and all by one factor."""
     names = craft.thruster_names
-    each = tuple(Suspect(cls, thruster, {name: (i,)}) for i, thruster in enumerate(names))
-    together = Suspect(cls, "all", {name: tuple(range(len(names)))})
+    each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
+    together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
     return (*each, together) if len(names) > 1 else each
 
 
@@ -164,7 +164,7 @@ class ThrusterGain(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, craft, "factor")
+        return _each_and_all(cls, craft)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, gain=drive.gain * self.factor)
@@ -190,7 +190,7 @@ class ReverseThrust(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, craft, "factor")
+        return _each_and_all(cls, craft)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, max_thrust_reverse=drive.max_thrust_reverse * self.factor)
