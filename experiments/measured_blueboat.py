@@ -81,7 +81,7 @@ def started(vehicle: jm.Vehicle, log: jm.Log) -> jm.State:
 
 
 def predicted(vehicle: jm.Vehicle, log: jm.Log) -> Errors:
-    """u, v, r of simulations that restart from the measured state every `HORIZON`; a last rest is left out."""
+    """u, v, r of simulations that restart from the measured state every `HORIZON`, but for a rest."""
     steps = round(HORIZON / log.dt)
     out = np.full((len(log.t), 3), np.nan)
     for first in range(0, len(log.t) - steps, steps):

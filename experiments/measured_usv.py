@@ -96,24 +96,6 @@ class AdvanceLoss(ScalarEffect):
         return jnp.zeros(6).at[0].set(-lost.sum()).at[5].set((y * lost).sum())
 
 
-class TurnLift(ScalarEffect):
-    """Lift of a hull that turns at speed: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
-
-    Source: the published model scales Y_r and N_r with the speed; Fossen (2021), sec. 6.5.
-    """
-
-    name = "turn_lift"
-    units = {"Y_ur": "N s²/m", "N_ur": "N s²"}
-    confused_with = ("hull_lift", "coupled_damping")
-
-    Y_ur: Scalar
-    N_ur: Scalar
-
-    def __call__(self, motion: Motion) -> Wrench:
-        u, r = motion.nu_r[0], motion.nu_r[5]
-        return jnp.zeros(6).at[1].set(-self.Y_ur * u * r).at[5].set(-self.N_ur * jnp.abs(u) * r)
-
-
 class SteadyWind(ScalarEffect):
     """A push in surge that is constant in earth axes: X = north cos(psi) + east sin(psi). Neutral: 0.
 
@@ -166,7 +148,7 @@ class SurgeDrag(WrenchEffect):
         return jnp.zeros(6).at[0].set(-drag * u)
 
 
-OWN = (AdvanceLoss, TurnLift, SteadyWind, SurgeDrag)
+OWN = (AdvanceLoss, SteadyWind, SurgeDrag)
 
 
 # --- model ---------------------------------------------------------------------------------------
@@ -186,6 +168,7 @@ def start_of(published: jm.Vehicle) -> jm.Vehicle:
         ("thruster_lag", None, {"time_constant": 0.1}),
         ("thrust_curve", None, {}),
         ("hull_lift", None, {}),
+        ("turning_lift", None, {}),
         *((effect.name, None, {}) for effect in OWN),
     ):
         effect = place(suspect_named(published, name, target, (*CATALOGUE, *OWN)), published, values)
@@ -206,7 +189,7 @@ def start_of(published: jm.Vehicle) -> jm.Vehicle:
 def selected(vehicle: jm.Vehicle) -> dict[str, Any]:
     """What is fitted. The mass and the surge added mass are held: they set the scale of all forces."""
     effects: list[Any] = [placed.effect for placed in vehicle.placed]
-    lag, curve, lift, advance, turn, wind, drag = effects
+    lag, curve, lift, turn, advance, wind, drag = effects
     return {
         "added mass": vehicle.added_mass,
         "linear damping": vehicle.damping.linear,

@@ -291,7 +291,10 @@ _FREE = {
     "quadratic": lambda v: v.damping.quadratic,
     "added_mass": lambda v: v.added_mass,
     "thrust": lambda v: v.thrusters.max_thrust,
+    "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
+    "curve": lambda v: v.thrusters.quadratic,
 }
+_OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
 
 
 @app.command(
@@ -327,8 +330,9 @@ def fit(
 
     _file(out)
     craft = load_vehicle(vehicle)
-    if "thrust" in free and not craft.thruster_names:
-        raise InputError(f"--free thrust: {craft.name} has no thrusters; free something else.")
+    useless = [] if craft.thruster_names else [name for name in free if name in _OF_THRUSTERS]
+    if useless:
+        raise InputError(f"--free {useless[0]}: {craft.name} has no thrusters; free something else.")
     columns_map = _columns(columns)
     logs = _read(train, craft, columns_map)
     _note(*logs)

@@ -104,7 +104,11 @@ class Damping(eqx.Module):
 
 
 class Thrusters(eqx.Module):
-    """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`."""
+    """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`.
+
+    `max_thrust_reverse` [N] is 0 where the file states none: the thruster then gives `max_thrust` backwards
+    too, whatever a fit makes of that.
+    """
 
     position: Float[Array, "thrusters 3"]
     direction: Float[Array, "thrusters 3"]
@@ -113,6 +117,13 @@ class Thrusters(eqx.Module):
     lag: Float[Array, " thrusters"]
     delay: Float[Array, " thrusters"]
     saturation: Float[Array, " thrusters"]
+    max_thrust_reverse: Float[Array, " thrusters"]
+    quadratic: Float[Array, " thrusters"]
+
+    @property
+    def reverse(self) -> Float[Array, " thrusters"]:
+        """Thrust at command -1, backwards [N], stated or not."""
+        return jnp.where(self.max_thrust_reverse == 0.0, self.max_thrust, self.max_thrust_reverse)
 
     def drive(self) -> Drive:
         one = jnp.ones_like(self.max_thrust)
@@ -120,11 +131,12 @@ class Thrusters(eqx.Module):
             delay=self.delay,
             deadband=self.deadband,
             saturation=self.saturation,
-            quadratic=0.0 * one,
+            quadratic=self.quadratic,
             gain=one,
             lag=self.lag,
             inflow=0.0 * one,
             max_thrust=self.max_thrust,
+            max_thrust_reverse=self.reverse,
         )
 
 
@@ -408,13 +420,35 @@ def allocate(
     - `wrench`: wanted at `o`, body axes [N, N m].
     - `dof`: the axes on which it is asked for, default all free ones; on the others it comes out as it does.
 
-    The least thrusts in the sense of least squares, by the pseudo-inverse, as commands clipped to the
-    vehicle's limits; neither delay, lag nor curve are made up for. Fossen (2021), sec. 11.2.
+    The least thrusts in the sense of least squares, as shares of `max_thrust`, by the pseudo-inverse, and the
+    commands that give them with `max_thrust_reverse` and `quadratic`, clipped to the vehicle's limits.
+    Neither delay, lag, dead band nor effects are made up for. Fossen (2021), sec. 11.2.
     """
     names = vehicle.dof if dof is None else dof
     rows = np.array([DOFS.index(name) for name in names])
-    units = vehicle.thrusters.max_thrust
-    effect = vehicle.plant().allocation[rows] * units[None]
-    commands = wrench[..., rows] @ jnp.linalg.pinv(effect).T
-    limits = jnp.broadcast_to(vehicle.command_limits, commands.shape)
+    thrusters = vehicle.thrusters
+    effect = vehicle.plant().allocation[rows] * thrusters.max_thrust[None]
+    shares = wrench[..., rows] @ jnp.linalg.pinv(effect).T
+    limits, backwards, quadratic = (
+        jnp.broadcast_to(one, shares.shape)
+        for one in (vehicle.command_limits, thrusters.max_thrust / thrusters.reverse, thrusters.quadratic)
+    )
+    commands = _uncurved(shares * jnp.where(shares < 0.0, backwards, 1.0), quadratic)
     return jnp.clip(commands, -limits, limits)
+
+
+def _uncurved(
+    share: Float[Array, "*times thrusters"], quadratic: Float[Array, "*times thrusters"]
+) -> Float[Array, "*times thrusters"]:
+    """The command c with (1 - quadratic) c + quadratic c |c| = share, the largest where there are several.
+
+    Where no command gives so much, as beyond the top of a curve that bends down, that at the top or beyond.
+    """
+    linear = 1.0 - quadratic
+    # Not below a trace, which keeps the derivative finite.
+    root = jnp.sqrt(jnp.maximum(linear**2 + 4.0 * quadratic * jnp.abs(share), 1e-18))
+    # Each way of writing the quadratic formula is regular where the other divides zero by zero.
+    bent = quadratic > 0.5
+    by_root = (root - linear) / jnp.where(bent, 2.0 * quadratic, 1.0)
+    by_share = 2.0 * jnp.abs(share) / jnp.where(bent, 1.0, root + linear)
+    return jnp.sign(share) * jnp.where(bent, by_root, by_share)

@@ -24,6 +24,9 @@ from ._types import CHANNELS, DOFS, WRENCH
 _UNIT_LENGTH = 1e-9
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
+# Of a share of the command that acts as c|c|. Below, more command would bring less thrust before it is full;
+# above, the lower half of all commands would push the wrong way.
+_CURVED = (-1.0, 2.0)
 # Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
 # numbers stay finite.
 _ABSURD = 1e18
@@ -187,6 +190,18 @@ class Thruster(_Table):
     position: Triple = Field(description="[x, y, z] from `o` [m]")
     direction: Triple = Field(description="[x, y, z], not zero: where positive thrust pushes")
     max_thrust: Number = Field(gt=0, description="a positive number, the thrust at command 1 [N]")
+    max_thrust_reverse: Number | None = Field(
+        default=None,
+        gt=0,
+        description="a positive number, the thrust at command -1 [N]; left out, max_thrust",
+    )
+    quadratic: Number = Field(
+        default=0.0,
+        ge=_CURVED[0],
+        le=_CURVED[1],
+        exclude_if=lambda quadratic: quadratic == 0.0,
+        description=f"a number from {_CURVED[0]:g} to {_CURVED[1]:g}, share of the command that acts as c|c|",
+    )
     deadband: Number = Field(default=0.0, ge=0, description="a number not below zero [command]")
     lag: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")

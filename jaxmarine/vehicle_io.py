@@ -19,6 +19,8 @@ from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, rigid_body, write_vehicle_file
 from .vehicle_file import Slider as SliderTable
 
+# Numbers of a thruster beside its place.
+_OF_THRUSTER = ("max_thrust", "max_thrust_reverse", "quadratic", "deadband", "lag", "delay", "saturation")
 _LEARNED = {cls.name: cls for cls in LEARNED}
 # The networks of a learned term hold some thousand numbers.
 _MOST_ARRAY_BYTES = 100_000_000
@@ -93,7 +95,8 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
 
 def _vehicle(file: VehicleFile) -> Vehicle:
     def column(name: str, width: tuple[int, ...] = ()):
-        values = [getattr(thruster, name) for thruster in file.thruster]
+        # Only the thrust astern may be left out, which zero stands for.
+        values = [getattr(thruster, name) or 0.0 for thruster in file.thruster]
         return jnp.asarray(np.array(values, float).reshape(len(values), *width))
 
     def number(value):
@@ -113,7 +116,7 @@ def _vehicle(file: VehicleFile) -> Vehicle:
         thrusters=Thrusters(
             position=column("position", (3,)),
             direction=column("direction", (3,)),
-            **{name: column(name) for name in ("max_thrust", "deadband", "lag", "delay", "saturation")},
+            **{name: column(name) for name in _OF_THRUSTER},
         ),
         density=number(file.environment.density),
         gravity=number(file.environment.gravity),
@@ -242,10 +245,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                     "name": name,
                     "position": np.asarray(thrusters.position[i]),
                     "direction": np.asarray(thrusters.direction[i]),
-                    **{
-                        key: float(getattr(thrusters, key)[i])
-                        for key in ("max_thrust", "deadband", "lag", "delay", "saturation")
-                    },
+                    **_thruster_numbers(thrusters, i),
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
@@ -256,6 +256,14 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
         str(path),
     )
     write_vehicle_file(file, path)
+
+
+def _thruster_numbers(thrusters: Thrusters, i: int) -> dict[str, float]:
+    numbers = {key: float(getattr(thrusters, key)[i]) for key in _OF_THRUSTER}
+    # Left out, it is as `max_thrust`.
+    if numbers["max_thrust_reverse"] in (0.0, numbers["max_thrust"]):
+        del numbers["max_thrust_reverse"]
+    return numbers
 
 
 def _slider_table(slider: Slider) -> dict:

@@ -40,6 +40,8 @@ def boat(dof: tuple[str, ...] = PLANAR, sensors: Mapping[str, float] | None = No
             lag=jnp.zeros(3),
             delay=jnp.zeros(3),
             saturation=jnp.ones(3),
+            max_thrust_reverse=jnp.zeros(3),
+            quadratic=jnp.zeros(3),
         ),
         density=jnp.asarray(1025.0),
         gravity=jnp.asarray(9.81),

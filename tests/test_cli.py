@@ -312,6 +312,23 @@ def test_fit_writes_the_vehicle_that_made_the_log(jaxmarine, folder, ship):
     assert fitted.name == "cybership2"
 
 
+def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, ship):
+    """The log is of symmetric thrust, which the file spoils astern."""
+    thrust = np.asarray(ship.thrusters.max_thrust)
+    astern = dataclasses.replace(ship.thrusters, max_thrust_reverse=0.8 * ship.thrusters.max_thrust)
+    jm.save_vehicle(dataclasses.replace(ship, thrusters=astern), folder / "ship.toml")
+    words = call("fit", folder)
+    words[words.index("damping")] = "reverse_thrust"
+    code, out, err = jaxmarine(*words, "--free", "curve")
+    assert code == 0 and not err
+    assert "thrusters.max_thrust_reverse[port]" in out and "thrusters.quadratic[port]" in out
+    fitted = jm.load_vehicle(folder / "out.toml").thrusters
+    np.testing.assert_array_equal(fitted.max_thrust, thrust)
+    # Of twenty seconds, in which a curve is worth little less than a factor.
+    np.testing.assert_allclose(fitted.reverse, thrust, rtol=0.1)
+    np.testing.assert_allclose(fitted.quadratic, 0.0, atol=0.1)
+
+
 def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypatch):
     def stopped(*_, **__):
         raise KeyboardInterrupt

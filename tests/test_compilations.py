@@ -66,5 +66,6 @@ def compiled(catalogue) -> Counter[str]:
 def test_an_effect_more_in_the_catalogue_compiles_nothing_more(unoptimised, catalogue, another):
     _compiled._options()  # asks the compiler once in a process
     names = compiled(catalogue)
-    assert compiled((*catalogue, another)) == names
+    # Less, where the search comes to its end without some of the steps that it took before.
+    assert compiled((*catalogue, another)) <= names
     assert names.total() <= MOST

@@ -16,7 +16,10 @@ from experiments.blind import plant as blind
 from jaxmarine.effects import (
     CATALOGUE,
     FluidMemory,
+    HullLift,
+    Motion,
     SensorEffect,
+    TurningLift,
     WrenchEffect,
     place,
 )
@@ -178,6 +181,36 @@ def test_derivatives_are_those_of_finite_differences(cls, name):
     assert (scale[used] > 0).all()  # whatever can be accused is felt
     # Rounding of some 100 N over a step of 2e-6, and the curvature times its square.
     assert np.abs(exact - between)[:, mine].max() < 1e-5 * max(1.0, scale.max(initial=0.0))
+
+
+# --- lift ahead and astern --------------------------------------------------------------------
+
+
+def test_lift_opposes_drift_and_turns_ahead_and_astern():
+    zero, one = jnp.zeros(()), jnp.ones(())
+    hull = HullLift(2.0 * one, 3.0 * one, 5.0 * one, 7.0 * one)
+    turning = TurningLift(2.0 * one, 3.0 * one)
+    v, w, r = 0.3, -0.2, 0.4
+    for u in (0.5, -0.5):
+        nu = jnp.array([u, v, w, 0.1, 0.2, r])
+        none, turn, six = jnp.zeros(3), jnp.eye(3), jnp.zeros(6)
+        motion = Motion(none, turn, nu, nu, six, zero, none)
+        np.testing.assert_allclose(hull(motion), [0, -2 * 0.5 * v, -5 * 0.5 * w, 0, -7 * u * w, -3 * u * v])
+        np.testing.assert_allclose(turning(motion), [0, -2 * u * r, 0, 0, 0, -3 * 0.5 * r])
+
+
+@pytest.mark.parametrize(
+    ("dof", "slots"),
+    [
+        (("surge", "sway", "yaw"), ("Y_ur", "N_ur")),
+        (("surge", "yaw"), ("N_ur",)),
+        (("surge", "sway"), None),
+        (("sway", "yaw"), None),
+    ],
+)
+def test_turning_lift_is_of_free_axes_only(dof, slots):
+    craft = dataclasses.replace(packaged("cybership2"), dof=dof)
+    assert [tuple(one.slots) for one in TurningLift.suspects(craft)] == ([] if slots is None else [slots])
 
 
 # --- the independent plant --------------------------------------------------------------------

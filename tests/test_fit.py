@@ -153,6 +153,21 @@ def test_one_step_recovers_without_noise():
     np.testing.assert_allclose(values(found), planted(boat()), rtol=1e-4)
 
 
+def test_thrust_ahead_and_astern_and_its_curve_are_found():
+    """The file knows of neither: it begins with as much astern as ahead, and in proportion to the command."""
+
+    def of_thrust(v: Vehicle):
+        return v.thrusters.max_thrust, v.thrusters.max_thrust_reverse, v.thrusters.quadratic
+
+    truth = [np.array(row) for row in ([44.0, 38.0, 30.0], [30.0, 34.0, 33.0], [0.3, 0.0, -0.2])]
+    log = record(eqx.tree_at(of_thrust, boat(), tuple(map(jnp.asarray, truth))), steps(), seed=3)
+    found = fit(boat(), log, of_thrust)
+    std = np.array([p.std_model for p in found.parameters])
+    assert np.abs((values(found) - np.concatenate(truth)) / std).max() < 4.0  # nine normal numbers
+    assert (std < 0.05 * np.concatenate([truth[0], truth[0], np.full(3, 2.0)])).all()
+    np.testing.assert_array_equal([p.start for p in found.parameters], [40, 40, 30, 40, 40, 30, 0, 0, 0])
+
+
 # --- standard errors --------------------------------------------------------------------------
 
 
@@ -195,6 +210,36 @@ def test_one_step_is_biased_by_sensor_noise_and_the_trajectory_is_not():
         error[loss] = off.mean(0) / (off.std(0, ddof=1) / np.sqrt(seeds))
     assert np.abs(error["trajectory"]).max() < 5.0  # the largest of ten t of five
     assert np.abs(error["one_step"]).max() > 8.0
+
+
+# --- what is free -----------------------------------------------------------------------------
+
+
+def test_thrust_astern_follows_that_ahead_unless_it_is_stated_or_freed():
+    stated = eqx.tree_at(lambda v: v.thrusters.max_thrust_reverse, boat(), jnp.array([0.0, 35.0, 0.0]))
+
+    def astern(free, raw, **options):
+        freed, _ = set_free(stated, free, **options)
+        return freed(freed.start * jnp.asarray(raw)).plant().drive.max_thrust_reverse
+
+    def ahead(v: Vehicle):
+        return v.thrusters.max_thrust
+
+    np.testing.assert_allclose(astern(ahead, 2.0), [80.0, 35.0, 60.0])
+    np.testing.assert_allclose(astern(lambda v: v.thrusters.max_thrust_reverse, 0.5), [20.0, 17.5, 15.0])
+
+    def both(v: Vehicle):
+        return v.thrusters.max_thrust, v.thrusters.max_thrust_reverse
+
+    np.testing.assert_allclose(astern(both, [2.0, 2.0, 2.0, 0.5, 0.5, 0.5]), [20.0, 17.5, 15.0])
+    # What a prior holds is as it was: stated, or as ahead.
+    held = np.full(3, np.inf), np.array([0.0, 0.0, np.inf])
+    np.testing.assert_allclose(astern(both, [2.0, 2.0, 2.0, 0.5], prior=held), [80.0, 35.0, 15.0])
+
+
+def test_a_prior_of_a_number_that_is_zero_is_as_wide_as_one():
+    _, scales = set_free(boat(), lambda v: (v.thrusters.quadratic, v.thrusters.max_thrust_reverse), prior=0.3)
+    np.testing.assert_allclose(scales.prior, [0.3, 0.3, 0.3, 12.0, 12.0, 9.0])
 
 
 # --- what the data do not determine -----------------------------------------------------------

@@ -30,8 +30,11 @@ BOAT, ROV = "cybership2", "tethra"
 
 # One seed of every effect of the catalogue. On a boat that is fast, and therefore always run:
 ALWAYS = {"thruster_lag": 2}
+# What came later has seeds of its own, which leaves the others theirs.
+LATER = {"reverse_thrust": 80, "turning_lift": 81}
 # Of the others some can be seen on a craft that moves in all six axes only.
-SINGLE = {name: 4 + i for i, name in enumerate(sorted(catalogue.names(load(BOAT)))) if name not in ALWAYS}
+SINGLE = {name: 4 + i for i, name in enumerate(sorted({*catalogue.names(load(BOAT))} - {*LATER}))}
+SINGLE = {name: seed for name, seed in SINGLE.items() if name not in ALWAYS} | LATER
 IN_SIX_AXES = {
     name: 40 + i for i, name in enumerate(sorted({*catalogue.names(load(ROV))} - {*ALWAYS, *SINGLE}))
 }

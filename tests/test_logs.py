@@ -546,8 +546,8 @@ def test_simulated_recordings_show_the_noise_that_they_were_given(shared):
         assert all("is wrapped" in note for note in log.notes)
         stated = sensor_noise(log, vehicle.sensors.stated())
         ratio = estimate_noise(log) / stated
-        # Commands of a feedback change at every sample, and accelerations and fast craft with them: the estimate
-        # can only err upwards then.
+        # Commands of a feedback change at every sample, and accelerations and fast craft with them: the
+        # estimate can only err upwards then.
         held = np.mean((np.diff(log.commands, axis=0) != 0).any(axis=1)) < 0.5
         assert np.nanmin(ratio) > 0.85 and np.nanmax(ratio) < (1.2 if held else 4.0), folder.name
 

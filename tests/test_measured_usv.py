@@ -42,12 +42,7 @@ def test_propellers_lose_to_the_flow_where_they_are():
     np.testing.assert_allclose(alone, [-5, 0, 0, 0, 0, -5 * 0.205], atol=1e-12)
 
 
-def test_turning_at_speed_is_braked_and_the_wind_pushes_along_its_heading():
-    lift = usv.TurnLift(jnp.array(2.0), jnp.array(3.0))
-    for u in 0.5, -0.5:
-        np.testing.assert_allclose(
-            lift(_motion([u, 0, 0, 0, 0, 0.4])), [0, -2 * u * 0.4, 0, 0, 0, -3 * 0.5 * 0.4], atol=1e-12
-        )
+def test_the_wind_pushes_along_its_heading():
     wind = usv.SteadyWind(jnp.array(3.0), jnp.array(4.0))
     for psi, push in (0.0, 3.0), (np.pi / 2, 4.0), (np.pi, -3.0), (np.arctan2(4, 3), 5.0):
         np.testing.assert_allclose(

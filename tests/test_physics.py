@@ -212,8 +212,9 @@ def test_damping_is_elementwise_and_takes_power():
 
 TIMES = np.arange(40) * 0.1
 NAMES = ("delay", "deadband", "saturation", "quadratic", "gain", "lag", "inflow", "max_thrust")
+NAMES += ("max_thrust_reverse",)
 PLAIN = {"delay": 0, "deadband": 0, "saturation": 1, "quadratic": 0, "gain": 1, "lag": 0}
-PLAIN |= {"inflow": 0, "max_thrust": 50}
+PLAIN |= {"inflow": 0, "max_thrust": 50, "max_thrust_reverse": 50}
 
 
 def drive_of(samples: int, **constants) -> Drive:
@@ -242,10 +243,11 @@ def brute_force(t, commands, parts=400, **constants):
             delayed = now - np.broadcast_to(np.asarray(k["delay"], float), (2,))
             index = np.clip(np.searchsorted(t, delayed, side="right") - 1, 0, len(t) - 1)
             c = commands[index, np.arange(2)]
+            most = np.where(c < 0, k["max_thrust_reverse"], k["max_thrust"])
             c = np.sign(c) * np.maximum(np.abs(c) - k["deadband"], 0.0)
             c = np.clip(c, -np.asarray(k["saturation"]), k["saturation"])
             c = (1.0 - k["quadratic"]) * c + k["quadratic"] * c * np.abs(c)
-            goal = k["max_thrust"] * np.asarray(k["gain"]) * c
+            goal = most * np.asarray(k["gain"]) * c
             if state is None:
                 state = np.array(goal)
             if part == 0:
@@ -269,6 +271,9 @@ CHAINS = {
     "saturation": {"saturation": [0.5, 0.8]},
     "curve": {"quadratic": [0.6, -0.3]},
     "gain": {"gain": [0.5, -0.2]},
+    "reverse": {"max_thrust_reverse": [35, 60]},
+    # A curve that turns small commands round: the propeller still turns as it is told to.
+    "reverse with a curve": {"max_thrust_reverse": [35, 60], "quadratic": [1.6, 1.0], "lag": [0.2, 0]},
     "lag": {"lag": [0.15, 0.6]},
     "all": {
         "delay": [0.2, 0.4],
@@ -276,6 +281,7 @@ CHAINS = {
         "saturation": [0.5, 0.6],
         "quadratic": [0.4, 0.2],
         "gain": [0.7, 1.2],
+        "max_thrust_reverse": [40, 30],
         "lag": [0.3, 0.0],
     },
 }
@@ -331,7 +337,7 @@ def test_a_lag_leaves_no_thrust_behind():
 def test_thrust_has_the_derivative_of_finite_differences(name):
     commands = jnp.asarray(staircase(8))
     values = PLAIN | {"delay": 0.23, "deadband": 0.07, "saturation": 0.6, "quadratic": 0.3}
-    values |= {"gain": 0.8, "lag": 0.2}
+    values |= {"gain": 0.8, "lag": 0.2, "max_thrust_reverse": 35}
 
     def at(value):
         drive = drive_of(len(TIMES), **(values | {name: value}))
@@ -363,3 +369,15 @@ def test_derivatives_at_zero_are_finite_and_one_sided():
     assert np.allclose(slopes[0], later, rtol=1e-6, atol=1e-6)
     # Silent thrusters know nothing of a dead zone.
     assert np.array_equal(slopes[2][commands == 0], np.zeros(int((commands == 0).sum())))
+
+
+@pytest.mark.parametrize("quadratic", [0.0, 0.5, 1.0])
+def test_derivatives_at_a_command_of_zero_are_finite(quadratic):
+    def at(command, reverse, quadratic):
+        drive = drive_of(3, max_thrust_reverse=reverse, quadratic=quadratic)
+        return thrust(drive, jnp.asarray(TIMES[:3]), command * jnp.ones((3, 2))).mean
+
+    slopes = jax.jacfwd(at, argnums=(0, 1, 2))(jnp.zeros(()), jnp.asarray(35.0), jnp.asarray(quadratic))
+    # Thrust is zero there whatever these are; the command acts as one ahead.
+    for slope, expected in zip(slopes, (50.0 * (1.0 - quadratic), 0.0, 0.0), strict=True):
+        np.testing.assert_allclose(slope, expected, atol=1e-12)

@@ -56,6 +56,8 @@ def vehicle(name: str = "catamaran", dof: tuple[str, ...] = PLANAR) -> Vehicle:
             lag=jnp.zeros(2),
             delay=jnp.zeros(2),
             saturation=jnp.ones(2),
+            max_thrust_reverse=jnp.zeros(2),
+            quadratic=jnp.zeros(2),
         ),
         density=jnp.array(1025.0),
         gravity=jnp.array(9.81),
@@ -558,6 +560,7 @@ SENTENCES = {
     "quadratic_damping": ("sway", {"value": 2.0}, "more quadratic damping in sway"),
     "coupled_damping": ("sway<-yaw", {"value": 2.0}, "motion in yaw causes a force in sway"),
     "hull_lift": (None, {"Y_uv": 20.0, "N_uv": 3.0}, "Y_uv 20.0 ± 0.2 N s²/m²"),
+    "turning_lift": (None, {"Y_ur": 20.0, "N_ur": 3.0}, "in turns at speed the hull feels a lift"),
     "fluid_memory": (
         "heave",
         {"gain": 9.0, "time_constant": 2.0},
@@ -572,6 +575,11 @@ SENTENCES = {
         "all",
         {"factor": 0.02},
         "0.0 ± 0.2 times the thrust of the file: commands are practically not acted on",
+    ),
+    "reverse_thrust": (
+        "port",
+        {"factor": 0.7},
+        "at negative commands thruster `port` gives 0.7 ± 0.2 times the thrust of the file",
     ),
     "thrust_curve": (
         None,

@@ -1,6 +1,8 @@
 """The assembled vehicle: forward against inverse dynamics, locked axes, order of effects, files."""
 
 import dataclasses
+import tomllib
+from pathlib import Path
 
 import equinox as eqx
 import hypothesis
@@ -9,8 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tomli_w
 
 from experiments.blind import plant as blind
+from experiments.blind import vehicle as blind_vehicle
 from jaxmarine._errors import InputError
 from jaxmarine._types import DOFS
 from jaxmarine.effects import (
@@ -23,9 +27,18 @@ from jaxmarine.effects import (
     VelocityScale,
     place,
 )
-from jaxmarine.physics import from_euler
+from jaxmarine.physics import from_euler, thrust
 from jaxmarine.simulation import initial_state
-from jaxmarine.vehicle import Input, Placed, State, Vehicle, forward_dynamics, inverse_dynamics
+from jaxmarine.vehicle import (
+    Input,
+    Placed,
+    State,
+    Vehicle,
+    _uncurved,
+    allocate,
+    forward_dynamics,
+    inverse_dynamics,
+)
 from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
 from tests.crafts import PACKAGED, independent, packaged, random_start
 
@@ -79,6 +92,70 @@ def test_packaged_vehicles_hold_the_numbers_that_independent_code_reads(name):
         assert np.allclose(got, expected, rtol=1e-14, atol=1e-12), what
     text = packaged_vehicle(name).read_text()
     assert "# Source:" in text and "# Assumed" in text
+
+
+# --- thrusters --------------------------------------------------------------------------------
+
+
+def asymmetric(folder: Path) -> Path:
+    """CyberShip II with thrusters that differ ahead and astern and in their curves, but for the last."""
+    tables = tomllib.loads(packaged_vehicle("cybership2").read_text())
+    for table, reverse, quadratic in zip(tables["thruster"], (0.7, 1.3), (0.6, 1.0), strict=False):
+        table |= {"max_thrust_reverse": reverse * table["max_thrust"], "quadratic": quadratic}
+    (folder / "ship.toml").write_text(tomli_w.dumps(tables))
+    return folder / "ship.toml"
+
+
+def test_thrust_astern_and_its_curve_are_those_of_the_independent_plant(tmp_path):
+    path = asymmetric(tmp_path)
+    vehicle, other = load_vehicle(path), blind.Model(blind_vehicle.load(path))
+    commands = np.linspace(-1.0, 1.0, 21)[:, None] * [1.0, -1.0, 0.5]
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), vehicle.plant().drive)
+    push = thrust(drive, jnp.arange(21.0), jnp.asarray(commands)).mean
+    np.testing.assert_allclose(push, other.drive(commands[..., None])[..., 0], rtol=1e-14, atol=1e-14)
+    # And is kept, with its keys where the file had them only.
+    save_vehicle(vehicle, tmp_path / "copy.toml")
+    again = load_vehicle(tmp_path / "copy.toml")
+    for name in ("max_thrust", "max_thrust_reverse", "quadratic"):
+        np.testing.assert_array_equal(getattr(again.thrusters, name), getattr(vehicle.thrusters, name))
+    assert [name in tables for tables in tomllib.loads((tmp_path / "copy.toml").read_text())["thruster"]
+            for name in ("max_thrust_reverse", "quadratic")] == [True] * 4 + [False] * 2  # fmt: skip
+
+
+def test_where_no_thrust_astern_is_stated_it_follows_that_ahead(tmp_path):
+    vehicle = load_vehicle(asymmetric(tmp_path))
+    stronger = eqx.tree_at(lambda v: v.thrusters.max_thrust, vehicle, 2.0 * vehicle.thrusters.max_thrust)
+    same, doubled = vehicle.thrusters.max_thrust_reverse, stronger.thrusters.max_thrust
+    np.testing.assert_array_equal(stronger.plant().drive.max_thrust_reverse, [same[0], same[1], doubled[2]])
+
+
+def test_allocated_commands_give_the_wrench_by_the_independent_plant(tmp_path):
+    path = asymmetric(tmp_path)
+    vehicle, other = load_vehicle(path), blind.Model(blind_vehicle.load(path))
+    wrench = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 6)) * np.abs(other.vehicle.allocation).max(1)
+    commands = np.asarray(allocate(vehicle, jnp.asarray(0.2 * wrench)))
+    assert (commands < -0.1).any(axis=0).all() and (commands > 0.1).any(axis=0).all()
+    assert np.abs(commands).max() < 1.0
+    given = other.drive(commands[..., None])[..., 0] @ other.allocation.T
+    free = [0, 1, 5]
+    np.testing.assert_allclose(given[:, free], 0.2 * wrench[:, free], rtol=1e-9, atol=1e-9)
+    # No thrust takes no command, and what is more than there is takes all there is.
+    assert not np.any(allocate(vehicle, jnp.zeros(6)))
+    assert np.abs(allocate(vehicle, jnp.asarray(1e6 * wrench))).max(axis=1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("quadratic", [-1.0, -0.3, 0.0, 0.5, 0.51, 1.0, 1.6])
+def test_a_curve_is_undone_to_its_end(quadratic):
+    c = np.linspace(-1.0, 1.0, 41)
+    share = (1.0 - quadratic) * c + quadratic * c * np.abs(c)
+    curve = jnp.full(41, quadratic)
+    back = np.asarray(_uncurved(jnp.asarray(share), curve))
+    # Small commands that a curve turns round give what larger ones of the other sign do.
+    own = c * share > 0
+    np.testing.assert_allclose(back[own], c[own], atol=1e-9)
+    np.testing.assert_allclose((1.0 - quadratic) * back + quadratic * back * np.abs(back), share, atol=1e-9)
+    slopes = jax.jacfwd(lambda s: _uncurved(s, curve))(jnp.asarray(2.0 * share))
+    assert np.isfinite(slopes).all()
 
 
 # --- equations of motion ----------------------------------------------------------------------

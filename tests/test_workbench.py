@@ -11,6 +11,7 @@ import pytest
 
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
+from jaxmarine._progress import silent
 from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
@@ -20,9 +21,18 @@ from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
+from jaxmarine.diagnosis._search import search
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._worth import buys_nothing
-from jaxmarine.effects import CATALOGUE, Saturation, ThrusterGain
+from jaxmarine.effects import (
+    CATALOGUE,
+    AddedMass,
+    LinearDamping,
+    QuadraticDamping,
+    ReverseThrust,
+    Saturation,
+    ThrusterGain,
+)
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate
@@ -49,6 +59,28 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     true = np.repeat([NOISE[name] for name in ("position", "attitude", "velocity", "rate")], 3)
     # Of 90 s, and of residuals that the fitted starts make some per cent smaller.
     assert np.allclose((sharper.noise[:12] / true)[np.tile(craft.free, 2) > 0], 1.0, atol=0.2)
+
+
+def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
+    """A boat that only goes ahead has no thrust astern to tell of; one of its thrusters is weak."""
+    craft = boat()
+    weak = craft.place(Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0]))))
+    few = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain, ReverseThrust)
+    bench = workbench(craft, (record(weak, np.abs(steps(600))),), few, None)
+    model = bench.fitted(bench.start())
+    stats = bench.screen(model)
+    labels = [one.label for one in bench.layout.suspects]
+    blind = [i for i, label in enumerate(labels) if label.startswith("reverse_thrust")]
+    assert len(blind) == 4
+    for i in blind:
+        assert not np.any(stats.h @ bench.own(i)) and not np.any(stats.g @ bench.own(i))
+    # Refitted all the same, it stays where it was and changes nothing.
+    refitted = bench.refine(bench.with_member(model, Member(blind[0]), np.zeros(1)))
+    assert refitted.z[-1] == 0.0 and refitted.cost == pytest.approx(model.cost, rel=1e-6)
+    found = search(bench, model, silent, lambda model: False)
+    assert [labels[member.suspect] for member in found.model.members] == ["thruster_gain:port"]
+    saved = [trial.saved for one in found.rounds for trial in one.trials if trial.member.suspect in blind]
+    assert np.abs(saved).max(initial=0.0) < 1.0
 
 
 @pytest.mark.parametrize(

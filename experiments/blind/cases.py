@@ -32,7 +32,7 @@ STRANGE = 0.3  # squared share of an effect outside the catalogue that the neare
 SPREAD = 0.15  # relative error of the coefficients of a wrong vehicle file
 RIVALS = (
     {"input_delay", "thruster_lag"},
-    {"deadband", "thrust_curve", "saturation", "thruster_gain", "inflow_loss"},
+    {"deadband", "thrust_curve", "saturation", "thruster_gain", "reverse_thrust", "inflow_loss"},
     {"velocity_scale", "velocity_misalignment", "velocity_in_earth_axes", "velocity_lever_arm"},
 )
 Hidden = Effect | Outside

@@ -170,6 +170,10 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             unit *= rng.uniform(0.5, 1.0, 4) * np.array([1.0, sign(rng), 1.0, sign(rng)])
             keys = ("Y_uv", "N_uv") if planar else ("Y_uv", "N_uv", "Z_uw", "M_uw")
             return Draw(effect(lambda a: dict(zip(keys, (a * unit).tolist(), strict=False))), 0.02, 0.5, 5.0)
+        case "turning_lift":  # of a size with the yaw damping at the typical speed
+            unit = np.array([one * np.sqrt(s.drag[1] * s.drag[5]), s.drag[5]]) / s.speed[0]
+            unit *= rng.uniform(0.5, 1.0, 2)
+            return Draw(effect(lambda a: {"Y_ur": a * unit[0], "N_ur": a * unit[1]}), 0.02, 0.5, 5.0)
         case "fluid_memory":
             tau = float(np.exp(rng.uniform(np.log(0.5), np.log(5.0))))
             return Draw(effect(lambda a: {"gain": a * s.drag[i], "time_constant": tau}, dof), 0.05, 0.8, 6.0)
@@ -184,6 +188,10 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
                 0.3,
                 0.6 if sense > 0 else 1.0,
             )
+        case "reverse_thrust":  # mostly weaker astern, as propellers are made for one way
+            target = "all" if rng.random() < 0.5 else str(rng.choice(vehicle.names))
+            sense = sign(rng, 0.25)
+            return Draw(effect(lambda a: {"factor": 1.0 + sense * a}, target), 0.03, 0.3, 0.9)
         case "thrust_curve":
             return Draw(effect(lambda a: {"quadratic": a}), 0.03, 0.4, 1.0)
         case "thruster_lag":
@@ -226,6 +234,7 @@ def names(vehicle: Vehicle) -> list[str]:
         "thruster_gain", "thrust_curve", "input_delay", "saturation", "inflow_loss",
         "velocity_lever_arm",
         "velocity_scale", "velocity_misalignment", "velocity_in_earth_axes", "gyro_bias",
+        "reverse_thrust", "turning_lift",
     ]  # fmt: skip
     if len(vehicle.free) == 6:
         out += ["buoyancy", "trim"]

@@ -60,7 +60,7 @@ def driven(vehicle: Vehicle) -> tuple[str, ...]:
 
 def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Draw:
     """A random effect of this name on this vehicle."""
-    u, r = s.speed[0], s.speed[5]
+    u, v, r = s.speed[[0, 1, 5]]
     phase = rng.uniform(0.0, 2.0 * np.pi)
     match name:
         case "depth_force":  # hull compression and stratified water: heave force against depth, 5 m a turn
@@ -97,10 +97,10 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             dof = "pitch" if 4 in vehicle.free else "yaw"
             i = DOFS.index(dof)
             return wrench_draw(name, dof, ("u",), s.wrench[i] / u**2, lambda t, x, nu: nu[0] ** 2)
-        case "cross_terms":  # yaw damping that grows with the way made, its mean taken out
+        case "cross_terms":  # yaw damping that grows with the drift, its mean taken out
             unit = -s.wrench[5] / r
             return wrench_draw(
-                name, "yaw", ("u", "r"), unit, lambda t, x, nu: (np.abs(nu[0]) / u - 0.8) * nu[5]
+                name, "yaw", ("v", "r"), unit, lambda t, x, nu: (np.abs(nu[1]) / v - 0.8) * nu[5]
             )
         case "bank_force":  # a wall along the track: sway force that falls with distance in y
             return wrench_draw(name, "sway", ("y",), s.wrench[1], lambda t, x, nu: np.cos(x[1] + phase))

@@ -22,6 +22,7 @@ import numpy as np
 from .vehicle import DOFS, Array, Vehicle, rigid_mass
 
 LEFT, RIGHT = np.triu_indices(6)
+DRIFT = [1, 2, 5]  # rows of v, w and r
 SENSOR = (
     "velocity_lever_arm",
     "velocity_misalignment",
@@ -83,11 +84,16 @@ def coriolis_form(m: Array) -> Array:
     return np.array(columns).T
 
 
-def lift_form(lift: Array) -> Array:
-    """The 6 x 21 matrix of hull lift, left-hand side: Y_uv u v, Z_uw u w, M_uw u w, N_uv u v."""
-    q = np.zeros((6, 21))
-    uv, uw = (int(np.flatnonzero((LEFT == 0) & (j == RIGHT))[0]) for j in (1, 2))
-    q[[1, 5, 2, 4], [uv, uv, uw, uw]] = lift
+def lift_form(hull: Array, turning: Array) -> Array:
+    """Lift on the left-hand side, of (nu_i nu_j), i <= j, and of |u| (v, w, r); 6 x 24.
+
+    - `hull`: Y_uv |u| v, N_uv u v, Z_uw |u| w, M_uw u w; `turning`: Y_ur u r, N_ur |u| r.
+    """
+    q = np.zeros((6, len(LEFT) + len(DRIFT)))
+    uv, uw, ur = (int(np.flatnonzero((LEFT == 0) & (j == RIGHT))[0]) for j in (1, 2, 5))
+    by_v, by_w, by_r = len(LEFT) + np.arange(len(DRIFT))
+    q[[1, 5, 2, 4], [by_v, uv, by_w, uw]] = hull
+    q[[1, 5], [ur, by_r]] = turning
     return q
 
 
@@ -117,12 +123,13 @@ class Model:
         v = self.vehicle
         n = len(v.names)
         rigid, added = v.rigid.copy(), v.added.copy()
-        linear, quadratic, lift = v.linear.copy(), v.quadratic.copy(), np.zeros(4)
+        linear, quadratic = v.linear.copy(), v.quadratic.copy()
+        hull, turning = np.zeros(4), np.zeros(2)
         weight_moment, buoyancy, cob = v.weight * v.cog, v.buoyancy, v.cob.copy()
         weight, point_buoyancy, point_moment = v.weight, 0.0, np.zeros(3)
         self.lag, self.delay = v.lag.copy(), v.delay.copy()
         self.deadband, self.saturation = v.deadband.copy(), v.saturation.copy()
-        self.gain, self.curve, self.inflow = np.ones(n), 0.0, 0.0
+        self.gain, self.reverse, self.curve, self.inflow = np.ones(n), np.ones(n), v.curve.copy(), 0.0
         self.current, self.constant = np.zeros(3), np.zeros((6, 1))
         self.waves: Effect | None = None
         self.tether = 0.0
@@ -160,7 +167,9 @@ class Model:
                     to, by = str(e.target).split("<-")
                     linear[DOFS.index(to), DOFS.index(by)] += value
                 case "hull_lift":
-                    lift += e.vector("Y_uv", "N_uv", "Z_uw", "M_uw")
+                    hull += e.vector("Y_uv", "N_uv", "Z_uw", "M_uw")
+                case "turning_lift":
+                    turning += e.vector("Y_ur", "N_ur")
                 case "fluid_memory":
                     self.memory_row = row
                     self.memory_gain = e.parameters["gain"]
@@ -168,8 +177,9 @@ class Model:
                 case "constant_wrench":
                     self.constant[row] += value
                 case "thruster_gain":
-                    chosen = np.array([e.target in (name, "all") for name in v.names])
-                    self.gain = np.where(chosen, self.gain * e.parameters["factor"], self.gain)
+                    self.gain[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
+                case "reverse_thrust":
+                    self.reverse[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
                 case "thrust_curve":
                     self.curve += e.parameters["quadratic"]
                 case "thruster_lag":
@@ -194,7 +204,9 @@ class Model:
         self.flows = bool(self.current.any())
         self.rigid_form = -coriolis_form(rigid) if self.flows else None
         carried = added if self.flows else rigid + added
-        self.water_form = -np.hstack([linear, quadratic, coriolis_form(carried) + lift_form(lift)])
+        products = lift_form(hull, turning)
+        products[:, : len(LEFT)] += coriolis_form(carried)
+        self.water_form = -np.hstack([linear, quadratic, products])
         self.hydrostatic = np.zeros((6, 3))
         self.hydrostatic[:3] = (weight - buoyancy - point_buoyancy) * np.eye(3)
         arm = weight_moment - buoyancy * cob - point_moment
@@ -203,11 +215,12 @@ class Model:
 
     def drive(self, commands: Array) -> Array:
         """Steady thrust [N] of commands (..., thrusters, B): deadband, saturation, curve, gain."""
-        dead, limit = self.deadband[:, None], self.saturation[:, None]
+        dead, limit, curve = self.deadband[:, None], self.saturation[:, None], self.curve[:, None]
         c = np.sign(commands) * np.maximum(np.abs(commands) - dead, 0.0)
         c = np.clip(c, -limit, limit)
-        c = (1.0 - self.curve) * c + self.curve * c * np.abs(c)
-        return (self.vehicle.max_thrust * self.gain)[:, None] * c
+        c = (1.0 - curve) * c + curve * c * np.abs(c)
+        ahead, astern = self.vehicle.max_thrust, self.vehicle.max_thrust_reverse * self.reverse
+        return np.where(commands < 0.0, astern[:, None], ahead[:, None]) * self.gain[:, None] * c
 
     def intervals(self, dt: float, step: float) -> list[tuple[float, float, Array]]:
         """Steps within a sample, none across a command change.
@@ -259,7 +272,9 @@ class Model:
                 ]
             )
             force = force + self.rigid_form @ (nu[LEFT] * nu[RIGHT]) + self.added[:, :3] @ turning
-        water = np.concatenate([through, np.abs(through) * through, through[LEFT] * through[RIGHT]])
+        size = np.abs(through)
+        products = through[LEFT] * through[RIGHT]
+        water = np.concatenate([through, size * through, products, size[0] * through[DRIFT]])
         if self.inflow:
             thrust = thrust * (1.0 - self.inflow * np.abs(self.vehicle.direction @ through[:3]))
         force = force + self.allocation @ thrust + self.water_form @ water

@@ -94,10 +94,12 @@ def linear_suspects(vehicle: Vehicle) -> list[list[Effect]]:
             out.append([Effect("coupled_damping", f"{to}<-{by}", {"value": 1e-3})])
     for target in (*vehicle.names, "all"):
         out.append([Effect("thruster_gain", target, {"factor": 1.001})])
+        out.append([Effect("reverse_thrust", target, {"factor": 1.001})])
     out.append([Effect("thrust_curve", None, {"quadratic": 1e-3})])
     out.append([Effect("inflow_loss", None, {"per_speed": 1e-3})])
     out.append([Effect("tether_drag", None, {"coefficient": 1e-3})])
     out.append([Effect("hull_lift", None, {k: 1e-3}) for k in ("Y_uv", "N_uv", "Z_uw", "M_uw")])
+    out.append([Effect("turning_lift", None, {k: 1e-3}) for k in ("Y_ur", "N_ur")])
     if len(dofs) == 6:
         out.append([Effect("buoyancy", None, {"force": 1e-3})])
         out.append([Effect("trim", None, {k: 1e-5}) for k in "xyz"])

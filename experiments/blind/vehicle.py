@@ -24,8 +24,9 @@ class Vehicle:
     - `free`: indices of the free degrees of freedom.
     - `rigid`, `added`, `linear`, `quadratic`: M_RB, M_A, D_l, D_q, each 6 x 6, about o.
     - `cog`, `cob` [m], `weight`, `buoyancy` [N].
-    - `names`, `position` [m], `direction`, `max_thrust` [N], `lag` [s], `delay` [s], `deadband`,
-      `saturation` [command]: one row per thruster.
+    - `names`, `position` [m], `direction`, `max_thrust` and `max_thrust_reverse` [N], `curve` [1]
+      (the file's `quadratic`), `lag` [s], `delay` [s], `deadband`, `saturation` [command]: one row per
+      thruster.
     - `noise`: standard deviation of pose, velocity and acceleration, 18 numbers.
     - `raw`: the file's own tables.
     """
@@ -46,6 +47,8 @@ class Vehicle:
     position: Array
     direction: Array
     max_thrust: Array
+    max_thrust_reverse: Array
+    curve: Array
     lag: Array
     delay: Array
     deadband: Array
@@ -55,7 +58,7 @@ class Vehicle:
 
     @property
     def allocation(self) -> Array:
-        """Wrench at o of full thrust, one column per thruster [N, N m]: (d, r x d) T_max."""
+        """Wrench at o of full thrust ahead, one column per thruster [N, N m]: (d, r x d) T_max."""
         moment = np.cross(self.position, self.direction)
         return np.vstack([self.direction.T, moment.T]) * self.max_thrust
 
@@ -113,6 +116,8 @@ def from_tables(raw: dict[str, Any]) -> Vehicle:
         position=np.array([t["position"] for t in thrusters], float),
         direction=np.array([t["direction"] for t in thrusters], float),
         max_thrust=per_thruster("max_thrust"),
+        max_thrust_reverse=np.array([t.get("max_thrust_reverse", t["max_thrust"]) for t in thrusters], float),
+        curve=per_thruster("quadratic"),
         lag=per_thruster("lag"),
         delay=per_thruster("delay"),
         deadband=per_thruster("deadband"),

@@ -46,6 +46,9 @@ from ._drive import (
     InputDelay as InputDelay,
 )
 from ._drive import (
+    ReverseThrust as ReverseThrust,
+)
+from ._drive import (
     Saturation as Saturation,
 )
 from ._drive import (
@@ -99,6 +102,9 @@ from ._wrench import (
     TetherDrag as TetherDrag,
 )
 from ._wrench import (
+    TurningLift as TurningLift,
+)
+from ._wrench import (
     Waves as Waves,
 )
 
@@ -108,6 +114,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     Saturation,
     ThrustCurve,
     ThrusterGain,
+    ReverseThrust,
     ThrusterLag,
     InflowLoss,
     SteadyCurrent,
@@ -120,6 +127,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     QuadraticDamping,
     CoupledDamping,
     HullLift,
+    TurningLift,
     TetherDrag,
     Waves,
     FluidMemory,

@@ -25,6 +25,14 @@ def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
     return (Suspect(cls, None, {name: (0,)}, tuple({name: start} for start in starts)),)
 
 
+def _each_and_all(cls, craft: Craft) -> tuple[Suspect, ...]:
+    """The suspects of an effect with a factor for each thruster: each by itself, and all by one factor."""
+    names = craft.thruster_names
+    each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
+    together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
+    return (*each, together) if len(names) > 1 else each
+
+
 class InputDelay(DriveEffect):
     """Every command acts `delay` seconds late: c(t - delay). Neutral: 0.
 
@@ -156,13 +164,36 @@ class ThrusterGain(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        names = craft.thruster_names
-        each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
-        together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
-        return (*each, together) if len(names) > 1 else each
+        return _each_and_all(cls, craft)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, gain=drive.gain * self.factor)
+
+
+class ReverseThrust(DriveEffect):
+    """A thruster gives `factor` times the thrust of the file where its command is negative. Neutral: 1.
+
+    Source: Fossen (2021), sec. 9.1 (a propeller is made for one way; its coefficients differ astern).
+    """
+
+    name = "reverse_thrust"
+    units = {"factor": "1"}
+    confused_with = ("thruster_gain", "thrust_curve", "constant_wrench")
+    shown_by = "each thruster driven by itself, ahead as well as astern"
+    advice = "look which way round the propeller is mounted, and measure its thrust astern on a stand"
+
+    factor: Float[Array, " thrusters"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(jnp.ones(len(craft.thruster_names), jnp.result_type(float)))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _each_and_all(cls, craft)
+
+    def __call__(self, drive: Drive) -> Drive:
+        return dataclasses.replace(drive, max_thrust_reverse=drive.max_thrust_reverse * self.factor)
 
 
 class ThrusterLag(DriveEffect):

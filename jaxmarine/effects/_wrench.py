@@ -114,9 +114,11 @@ class CoupledDamping(WrenchEffect):
 
 
 class HullLift(WrenchEffect):
-    """Lift of a hull at an angle of attack: Y = -Y_uv u v, N = -N_uv u v, Z = -Z_uw u w, M = -M_uw u w.
+    """Lift of a hull at an angle of attack: Y = -Y_uv |u| v, N = -N_uv u v, Z = -Z_uw |u| w, M = -M_uw u w.
 
-    Neutral: 0. Source: Fossen (2021), sec. 6.5 (lift and Munk moment); Prestero (2001), sec. 4.
+    Neutral: 0. The forces oppose the drift going ahead and astern: with u in the place of |u| they would feed
+    energy to a craft that goes astern. The moments change sign with u, as the Munk moment does.
+    Source: Fossen (2021), sec. 6.5 (lift and Munk moment); Prestero (2001), sec. 4.
     """
 
     name = "hull_lift"
@@ -154,10 +156,43 @@ class HullLift(WrenchEffect):
 
     def __call__(self, motion: Motion) -> Wrench:
         u, v, w = motion.nu_r[:3]
-        zero = jnp.zeros_like(u)
+        zero, speed = jnp.zeros_like(u), jnp.abs(u)
         return -jnp.stack(
-            [zero, self.Y_uv * u * v, self.Z_uw * u * w, zero, self.M_uw * u * w, self.N_uv * u * v]
+            [zero, self.Y_uv * speed * v, self.Z_uw * speed * w, zero, self.M_uw * u * w, self.N_uv * u * v]
         )
+
+
+class TurningLift(WrenchEffect):
+    """Lift of a hull that turns while it makes way: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
+
+    The moment brakes the turn going ahead and astern. Source: Fossen (2021), sec. 6.5 (lift of the hull and
+    its fins); Yasukawa and Yoshimura (2015), the linear yaw-rate terms of the hull forces.
+    """
+
+    name = "turning_lift"
+    units = {"Y_ur": "N s²", "N_ur": "N m s²"}
+    confused_with = ("hull_lift", "coupled_damping", "linear_damping:yaw")
+    shown_by = "turns at several speeds, ahead and astern"
+    advice = "the stern or its fins carry lift in turns that the file does not have"
+
+    Y_ur: Scalar
+    N_ur: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(), scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        if not (free(craft, "surge") and free(craft, "yaw")):
+            return ()
+        return (Suspect(cls, None, {"Y_ur": (0,), "N_ur": (1,)} if free(craft, "sway") else {"N_ur": (1,)}),)
+
+    def __call__(self, motion: Motion) -> Wrench:
+        u, r = motion.nu_r[0], motion.nu_r[5]
+        zero = jnp.zeros_like(u)
+        return -jnp.stack([zero, self.Y_ur * u * r, zero, zero, zero, self.N_ur * jnp.abs(u) * r])
 
 
 class TetherDrag(WrenchEffect):

@@ -51,7 +51,8 @@ def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
         given, able = log.wrench, np.abs(log.wrench).max(axis=0)
     else:
         drive = plant.drive
-        able = np.abs(np.asarray(plant.allocation)) @ np.asarray(drive.max_thrust * drive.saturation)
+        most = jnp.maximum(drive.max_thrust, drive.max_thrust_reverse) * drive.saturation
+        able = np.abs(np.asarray(plant.allocation)) @ np.asarray(most)
     return Driven(given * vehicle.free, needed * vehicle.free, able * vehicle.free)
 
 

@@ -30,7 +30,7 @@ _BRAKING = 0.2
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
 # Leaves that are positive by what they are.
-_SCALES = ("thrusters.max_thrust",)
+_SCALES = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
 # A dissipative matrix starts with at least this share of its size in every direction, because its
 # factor has no slope at zero.
 _FLOOR = 1e-2
@@ -242,8 +242,8 @@ def set_free(
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
     - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero:
-      to its typical size), or standard deviations in the structure of `free(vehicle)`: 0 holds an
-      entry, inf leaves it without prior.
+      to its typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`), or standard
+      deviations in the structure of `free(vehicle)`: 0 holds an entry, inf leaves it without prior.
     - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of
       locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
@@ -269,7 +269,10 @@ def set_free(
             part = make(name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif name in _SCALES and (np.asarray(leaf) > 0).all() and not held.all():
+        elif name in _SCALES and (np.asarray(leaf) >= 0).all() and not held.all():
+            if name == "thrusters.max_thrust_reverse":
+                # Where the file states none it is fitted by itself from there on, or held to be `max_thrust`.
+                leaf = np.where(held, leaf, vehicle.thrusters.reverse)
             part = _scale(vehicle, name, np.asarray(leaf), held)
             flat = _places_of(part)
             size = np.asarray(leaf).ravel()[flat]

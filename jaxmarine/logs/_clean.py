@@ -83,9 +83,9 @@ def clean(log: Log) -> Log:
 def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[str]]:
     """The channels without rows that only repeat an older sample, and a note on those.
 
-    Where a value commonly changes every so many rows only, it comes from a sensor so many times slower than the
-    log: what stands in between is old by up to that time. Where it lasts for more than two such times, as at
-    rest, a sample counts for each of them.
+    Where a value commonly changes every so many rows only, it comes from a sensor so many times slower than
+    the log: what stands in between is old by up to that time. Where it lasts for more than two such times, as
+    at rest, a sample counts for each of them.
     """
     channels, slow = log.channels.copy(), dict[int, list[str]]()
     for index, name in enumerate(CHANNELS):

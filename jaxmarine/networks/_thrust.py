@@ -17,7 +17,8 @@ class LearnedThrust(LearnedTerm, DriveEffect):
     r"""Thrust beside the curve of the file, per thruster, and more lag than the file's.
 
     $T / T_{max} = \mathrm{file}(c) + \sum_k w_k (\tanh(a_k c + b_k) - \tanh b_k)$, with c the command after
-    the delay and before the dead zone, and the lag $\tau = \tau_{file} + \Delta\tau$.
+    the delay and before the dead zone, and the lag $\tau = \tau_{file} + \Delta\tau$. Where c is negative,
+    $T_{max}$ is the thrust at command -1.
 
     - `slope` a, `bias` b, `weight` w [hidden, thrusters]: the networks; w is zero at first: the file's curve.
     - `low`, `high` [thrusters]: commands in the data, in which the command is clipped: beyond them the

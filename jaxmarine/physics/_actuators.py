@@ -35,8 +35,8 @@ class Drive(eqx.Module):
     In the order in which they act: `delay` [s], `deadband` [command], `saturation` [command],
     `quadratic` [1] (share of the command that acts as c|c|), `gain` [1], `lag` [s] (first order),
     `inflow` [s/m] (relative loss per speed through the water along the thruster).
-    `max_thrust` [N] is the thrust at command 1. `curves` are learned ones beside that of the other
-    constants, of the command before the dead zone.
+    `max_thrust` [N] is the thrust at command 1, `max_thrust_reverse` [N] that at command -1, backwards.
+    `curves` are learned ones beside that of the other constants, of the command before the dead zone.
     """
 
     delay: Float[Array, "*times thrusters"]
@@ -47,6 +47,7 @@ class Drive(eqx.Module):
     lag: Float[Array, "*times thrusters"]
     inflow: Float[Array, "*times thrusters"]
     max_thrust: Float[Array, "*times thrusters"]
+    max_thrust_reverse: Float[Array, "*times thrusters"]
     curves: tuple[Curve, ...] = ()
 
 
@@ -106,7 +107,11 @@ def delayed(t: Times, commands: Commands, delay: Commands) -> Late:
 
 
 def _goal(drive: Drive, c: Commands) -> Commands:
-    """Thrust that a command asks for [N]: dead zone, saturation, curve, gain."""
+    """Thrust that a command asks for [N]: dead zone, saturation, curve, gain.
+
+    The sign of the command itself, not of what a curve makes of it, says which way the propeller turns.
+    """
+    most = jnp.where(c < 0.0, drive.max_thrust_reverse, drive.max_thrust)
     learned = [curve(c) for curve in drive.curves]
     # Without a dead zone a command of zero is not silent: its slope with respect to the delay is one.
     silent = (jnp.abs(c) <= drive.deadband) & (drive.deadband > 0.0)
@@ -115,7 +120,7 @@ def _goal(drive: Drive, c: Commands) -> Commands:
     c = (1.0 - drive.quadratic) * c + drive.quadratic * c * jnp.abs(c)
     for share in learned:
         c = c + share
-    return drive.max_thrust * drive.gain * c
+    return most * drive.gain * c
 
 
 class Thrust(eqx.Module):

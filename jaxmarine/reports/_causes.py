@@ -22,6 +22,7 @@ _TITLES = {
     "buoyancy": "buoyancy",
     "trim": "shifted centre of buoyancy",
     "hull_lift": "lift of the hull",
+    "turning_lift": "lift of the hull in turns",
     "thrust_curve": "shape of the thrust curve",
     "thruster_lag": "lag of the thrusters",
     "input_delay": "delay of the commands",
@@ -40,14 +41,19 @@ _AXIS_TITLES = {
     "quadratic_damping": "quadratic damping in {}",
     "fluid_memory": "fluid memory in {}",
 }
-_KINDS = {"thruster_gain": "thrust of each thruster", "constant_wrench": "constant force"}
+_KINDS = {
+    "thruster_gain": "thrust of each thruster",
+    "reverse_thrust": "thrust of each thruster astern",
+    "constant_wrench": "constant force",
+}
 
 
 def title(label: str) -> str:
     """What a label such as `thruster_gain:port` accuses, in a few words."""
     name, _, target = label.partition(":")
-    if name == "thruster_gain":
-        return "thrust of all thrusters" if target == "all" else f"thrust of `{target}`"
+    if name in ("thruster_gain", "reverse_thrust"):
+        who = "all thrusters" if target == "all" else f"`{target}`"
+        return f"thrust of {who}{' astern' if name == 'reverse_thrust' else ''}"
     if name == "coupled_damping" and "<-" in target:
         pushed, moving = target.split("<-", 1)
         return f"damping in {pushed} from motion in {moving}"
@@ -221,6 +227,10 @@ def _hull_lift(f: Finding, v: Vehicle) -> str:
     return f"at an angle to the flow the hull feels a lift that the file does not have ({_listed(f)})"
 
 
+def _turning_lift(f: Finding, v: Vehicle) -> str:
+    return f"in turns at speed the hull feels a lift that the file does not have ({_listed(f)})"
+
+
 def _fluid_memory(f: Finding, v: Vehicle) -> str:
     return (
         f"part of the damping in {f.target} comes late: {_pm(f, 'gain')}, building up over "
@@ -236,9 +246,17 @@ def _constant_wrench(f: Finding, v: Vehicle) -> str:
 
 
 def _thruster_gain(f: Finding, v: Vehicle) -> str:
+    return _factor_of_thrust(f, "")
+
+
+def _reverse_thrust(f: Finding, v: Vehicle) -> str:
+    return _factor_of_thrust(f, "at negative commands ")
+
+
+def _factor_of_thrust(f: Finding, when: str) -> str:
     factor = f.parameters["factor"]
     who = "all thrusters give" if f.target == "all" else f"thruster `{f.target}` gives"
-    text = f"{who} {_pm(f, 'factor')} times the thrust of the file"
+    text = f"{when}{who} {_pm(f, 'factor')} times the thrust of the file"
     slack = 2 * factor.std if math.isfinite(factor.std) else 0.0
     if abs(factor.value) < 0.05 + slack:
         return f"{text}: commands are practically not acted on"
@@ -334,9 +352,11 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "quadratic_damping": _quadratic_damping,
     "coupled_damping": _coupled_damping,
     "hull_lift": _hull_lift,
+    "turning_lift": _turning_lift,
     "fluid_memory": _fluid_memory,
     "constant_wrench": _constant_wrench,
     "thruster_gain": _thruster_gain,
+    "reverse_thrust": _reverse_thrust,
     "thrust_curve": _thrust_curve,
     "thruster_lag": _thruster_lag,
     "input_delay": _input_delay,
