@@ -13,6 +13,7 @@ from .._angles import wrap_to_pi
 from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNELS
 from ._log import Log
 from ._noise import command_jumps, resolution
+from ._notes import Note, moment
 
 # Fewer samples than this do not show what is usual in a channel.
 _FEWEST = 50
@@ -67,11 +68,18 @@ def clean(log: Log) -> Log:
         for kind, (where, _) in found.items():
             if not many:
                 channels[where, index] = np.nan
-                notes.append(_note(log.name, name, kind, log.t[where], count))
+                notes.append(_note(log, name, kind, log.t[where], count))
             elif kind in many:
+                too_many = f"look like {kind}, which are too many for that; the channel is left as it is."
                 notes.append(
-                    f"{log.name}: {np.count_nonzero(where)} of {count} samples of `{name}` look like {kind}, "
-                    "which are too many for that; the channel is left as it is."
+                    Note.of(
+                        log.name,
+                        "{log}: {found} of {count} samples of {channel} " + too_many,
+                        "{found} of {count} samples each of {places} " + too_many,
+                        name,
+                        found=int(np.count_nonzero(where)),
+                        count=count,
+                    )
                 )
     notes = [note for note in (*notes, *_rounding(log)) if note not in log.notes]
     if not notes:
@@ -79,16 +87,24 @@ def clean(log: Log) -> Log:
     return dataclasses.replace(log, channels=channels, notes=(*log.notes, *notes))
 
 
-def _note(log: str, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> str:
-    when = f"at t = {t[0]:.6g} s" if len(t) == 1 else f"between t = {t[0]:.6g} s and {t[-1]:.6g} s"
+def _note(log: Log, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> Note:
+    first, last = moment(t[0], log.clock), moment(t[-1], log.clock)
+    when = f"at {first}" if len(t) == 1 else f"between {first} and {last.removeprefix('t = ')}"
     what = {
         "spikes": "leave their neighbours and come back as no vehicle does",
         "dropouts": "hold a value that otherwise changes with every sample",
     }[kind]
-    return f"{log}: {len(t)} of {count} samples of `{name}`, {when}, {what} ({kind}); they count as missing."
+    return Note.of(
+        log.name,
+        f"{{log}}: {{found}} of {{count}} samples of {{channel}}, {when}, {what} ({kind}); they count as missing.",
+        f"{{found}} of {{count}} samples each of {{places}} {what} ({kind}); they count as missing.",
+        name,
+        found=len(t),
+        count=count,
+    )
 
 
-def _rounding(log: Log) -> list[str]:
+def _rounding(log: Log) -> list[Note]:
     """A note on each channel of which the steps are coarser than its noise."""
     notes = []
     for index, name in enumerate(CHANNELS):
@@ -101,9 +117,19 @@ def _rounding(log: Log) -> list[str]:
         levels = (np.unique(values) - values.min()) / step
         even = np.allclose(levels, np.round(levels), rtol=0, atol=1e-3)
         if even and len(levels) > 2 and np.median(np.abs(np.diff(values))) < 1.5 * step:
+            steps = (
+                "comes in steps of {step:.3g}; where its noise is not stated, it is taken for at least "
+                "{noise:.2g}."
+            )
             notes.append(
-                f"{log.name}: `{name}` comes in steps of {step:.3g}; where its noise is not stated, it is "
-                f"taken for at least {step / np.sqrt(12):.2g}."
+                Note.of(
+                    log.name,
+                    "{log}: {channel} " + steps,
+                    "Each of {places} " + steps,
+                    name,
+                    step=step,
+                    noise=step / np.sqrt(12),
+                )
             )
     return notes
 
