@@ -254,6 +254,7 @@ def _columns(path: Path | None):
 
 def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
+    from .logs import moment
     from .reports import plus_minus, write_report
     from .vehicle_io import save_vehicle
 
@@ -266,15 +267,16 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
             f"{name} = {plus_minus(p.value, p.std, '' if p.unit == '1' else p.unit).replace('−', '-')}"
             for name, p in finding.parameters.items()
         )
-        since = "" if finding.since is None else f" since {result.moment(finding)} of {finding.since_log}"
+        since = ""
+        if finding.since is not None:
+            since = f" since {moment(finding.since, result.clock_of(finding))} of {finding.since_log}"
         _say(f"  {finding.label}{since}" + (f": {values}" if values else ""))
     if result.depends_on:
         _say(f"  what is left depends on {', '.join(result.depends_on)}")
     for one in result.dropped:
         _say(f"  dropped: {one.label}. {one.reason}")
-    warning = result.gain.warning()
     for note in result.notes:
-        if note not in said and note != warning:
+        if note not in (*said, *result.warnings):
             _say(f"  note: {note}")
     for group in result.groups:
         causes = " ".join(f'--cause "{words}"' for words in result.causes_of(group))
@@ -288,9 +290,11 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
 
 def _say_gain(result) -> None:
     """What the extension buys: first what it makes worse, then all channels together, then each quantity."""
+    from ._types import CHANNEL_UNITS, SENSORS
+
     gain = result.gain
-    if gain.worse:
-        _say(gain.warning())
+    for sentence in result.warnings:
+        _say(sentence)
     held = "" if gain.held_out else ", not held out"
     _say(
         f"{gain.horizon:g} s prediction error on {result.test}: {gain.ratio:.3f} of what it was "
@@ -298,14 +302,12 @@ def _say_gain(result) -> None:
     )
     for name, error in gain.quantities.items():
         if error is not None:
-            channels = ", ".join(
-                f"{channel} {_ratio(gain.channels[channel])}"
-                for channel in QUANTITIES[name]
-                if channel in gain.channels
-            )
+            unit = CHANNEL_UNITS[SENSORS[name][0]]
+            channels = [channel for channel in SENSORS[name] if channel in gain.channels]
+            each = ", ".join(f"{channel} {_ratio(gain.channels[channel])}" for channel in channels)
             _say(
-                f"  {name}: {error.before:.3g} to {error.after:.3g} {CHANNEL_UNITS[QUANTITIES[name][0]]}, "
-                f"{_ratio(error)} of it ({_interval(error.ratio_ci95)}): {channels}"
+                f"  {name}: {error.before:.3g} to {error.after:.3g} {unit}, {_ratio(error)} of it "
+                f"({_interval(error.ratio_ci95)}); {each}"
             )
     for one in gain.per_log if len(gain.per_log) > 1 else ():
         held = "" if one.held_out else ", not held out"

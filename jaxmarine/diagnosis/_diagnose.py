@@ -99,7 +99,8 @@ def diagnose(
         dropped=_left_out((*lost, *answer.dropped), findings),
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
-    notes = (*_warnings(diagnosis), *opened.notes, *told, *unlearned, *_remarks(diagnosis, answer, changed))
+    said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
+    notes = (*diagnosis.warnings, *opened.notes, *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
 
@@ -211,23 +212,14 @@ def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ..
     )
 
 
-def _warnings(diagnosis: Diagnosis) -> list[str]:
-    """What stands before all else: what is predicted worse than before, and what was not scored."""
-    gain, notes = diagnosis.gain, []
-    if gain.worse:
-        notes.append(gain.warning())
-    for one in gain.unscored:
-        notes.append(
-            f"{one.log}: at {one.count} of {one.of} starts of a prediction both models are off by far more than "
-            f"the sensors already where it begins ({', '.join(one.quantities)}); "
-            + ("these are not scored." if gain.sound else "they say little of what comes after.")
-        )
-    if not gain.sound:
-        notes.append(
-            f"The gain could not be measured well on {diagnosis.test}: neither the vehicle file nor the extended "
-            "vehicle meets the log at most starts of a prediction, so that their errors say little."
-        )
-    return notes
+def _not_scored(gain: Gain) -> list[str]:
+    """A note per test log of which starts are wrong."""
+    return [
+        f"{one.log}: at {one.count} of {one.of} starts of a prediction both models are off by far more than the "
+        f"sensors where it begins ({', '.join(one.quantities)}); "
+        + ("these are not scored." if gain.sound else "they say little of what comes after.")
+        for one in gain.unscored
+    ]
 
 
 def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from .._types import CHANNEL_UNITS
 from ..effects import AbstractEffect
 from ..fitting import Check
-from ..logs import Rejected, moment, together
+from ..logs import Rejected, together
 from ..networks import LearnedWrench
 from ..vehicle import Vehicle
 
@@ -158,13 +158,6 @@ class Gain:
         every = self.quantities | self.channels
         return {name: one for name, one in every.items() if one is not None and one.worse}
 
-    def warning(self) -> str:
-        """A sentence on what is predicted worse for certain; empty where nothing is."""
-        if not self.worse:
-            return ""
-        told = ", ".join(_grown(name, one) for name, one in self.worse.items())
-        return f"Predicted worse than by the vehicle file, for certain: {told}."
-
     def to_json(self) -> dict:
         """What `diagnosis.json` holds under `gain`."""
 
@@ -217,6 +210,7 @@ class Weighed:
     saved_chi2: float  # over all windows, after refitting everything else
     parameters: dict[str, float]
     since: float | None = None  # where it was weighed from a beginning on [s]
+    since_log: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -324,10 +318,23 @@ class Diagnosis:
         """The test log's name, or the names of all of them."""
         return together(self.tests)
 
-    def moment(self, finding: Finding) -> str:
-        """Since when a finding acts, in words; empty where it always does."""
-        log = finding.since_log or self.train[0]
-        return "" if finding.since is None else moment(finding.since, self.clocks.get(log, 0.0))
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What stands before any praise: what is predicted worse than before, and a gain that says little."""
+        out = []
+        if self.gain.worse:
+            told = ", ".join(_grown(name, one) for name, one in self.gain.worse.items())
+            out.append(f"Predicted worse than by the vehicle file on {self.test}, for certain: {told}.")
+        if not self.gain.sound:
+            out.append(
+                f"The gain could not be measured well on {self.test}: at most starts of a prediction neither "
+                "the vehicle file nor the extended vehicle meets the log, so that their errors say little."
+            )
+        return tuple(out)
+
+    def clock_of(self, one: "Finding | Weighed") -> float:
+        """What the clock of the log in which it begins shows at that log's start [s]."""
+        return self.clocks.get(one.since_log or self.train[0], 0.0)
 
     @property
     def far(self) -> bool:
