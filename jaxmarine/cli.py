@@ -83,14 +83,22 @@ def _progress(text: str):
     Those lines go where the results go: what stands on stderr is what was wrong.
     """
     estimate = Estimate()
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), _Left(estimate))
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        TimeElapsedColumn(),
+        _Left(estimate),
+    )
     with Progress(*columns, console=_err, transient=True, disable=not _err.is_terminal) as bar:
         task = bar.add_task(text, total=None)
 
         def tell(words: str) -> None:
             estimate.hear(words)
             # Without a share there is nothing to fill a bar by: it moves to and fro.
-            bar.update(task, description=words, completed=estimate.share, total=1.0 if estimate.share else None)
+            bar.update(
+                task, description=words, completed=estimate.share, total=1.0 if estimate.share else None
+            )
             if not _err.is_terminal:
                 told = str(estimate)
                 print(f"{words} ... {told}".rstrip(), flush=True)

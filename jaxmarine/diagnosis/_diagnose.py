@@ -114,7 +114,10 @@ def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[
 def _searched(
     bench: Workbench, begun: Model, progress: Progress
 ) -> tuple[Workbench, Unnamed, Found, tuple[Dropped, ...]]:
-    """What the search finds, on the workbench with the noises that it leaves; and what it does not find again."""
+    """What the search finds, on the workbench with the noises that it leaves.
+
+    And what it found before that and did not find again.
+    """
     rival = Unnamed(bench)
     found = search(bench, bench.fitted(begun), progress, rival.beats)
     sharper = sharpened(bench, found.model)
@@ -215,8 +218,8 @@ def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ..
 def _not_scored(gain: Gain) -> list[str]:
     """A note per test log of which starts are wrong."""
     return [
-        f"{one.log}: at {one.count} of {one.of} starts of a prediction both models are off by far more than the "
-        f"sensors where it begins ({', '.join(one.quantities)}); "
+        f"{one.log}: at {one.count} of {one.of} starts of a prediction both models are off by far more than "
+        f"the sensors where it begins ({', '.join(one.quantities)}); "
         + ("these are not scored." if gain.sound else "they say little of what comes after.")
         for one in gain.unscored
     ]

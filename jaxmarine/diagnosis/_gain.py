@@ -215,7 +215,8 @@ class _Sums:
     def within(self, starts: Int[np.ndarray, " some"]) -> tuple[float, float]:
         """The mean squares over some starts."""
         count = np.maximum(self.seen[starts].sum(0), 1)
-        return tuple(float((sums[starts].sum(0) / count).sum()) for sums in (self.before, self.after))
+        before, after = (float((sums[starts].sum(0) / count).sum()) for sums in (self.before, self.after))
+        return before, after
 
     def ratio(self) -> tuple[float, tuple[float, float] | None]:
         """Root of the ratio of after to before, and its interval, None from less than two stretches.

@@ -327,8 +327,8 @@ class Diagnosis:
             out.append(f"Predicted worse than by the vehicle file on {self.test}, for certain: {told}.")
         if not self.gain.sound:
             out.append(
-                f"The gain could not be measured well on {self.test}: at most starts of a prediction neither "
-                "the vehicle file nor the extended vehicle meets the log, so that their errors say little."
+                f"The gain could not be measured well on {self.test}: at too many starts of a prediction "
+                "neither the vehicle file nor the extended vehicle meets the log; their errors say little."
             )
         return tuple(out)
 

@@ -100,9 +100,7 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     return model
 
 
-def settled(
-    bench: Workbench, found: Found
-) -> tuple[Model, bool, tuple[Round, ...], tuple[Dropped, ...]]:
+def settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, ...], tuple[Dropped, ...]]:
     """What the search found, without what is not needed, and whether the whole file was recalibrated.
 
     And all that was weighed, in the search and in the place of single coefficients, and what was dropped.

@@ -72,15 +72,14 @@ def without_accidents(vehicle: Vehicle, log: Log, track: StateTrack, drive: Driv
             or len(spans) > most * log.duration / 60
             or sum(lasts) > share * log.duration
         ):
+            alike = "{lasts:.3g} s of {duration:.3g} s look like " + f"{reason} ({_WORDS[reason]})"
             first = moment(spans[0][0], log.clock, ".1f")
+            kept = "that is too much for an accident, and nothing is left out."
             notes.append(
                 Note.of(
                     log.name,
-                    "{log}: {lasts:.3g} s of {duration:.3g} s look like "
-                    f"{reason} ({_WORDS[reason]}), the first from {first}; that is too much for an accident, "
-                    "and nothing is left out.",
-                    "{logs}: {lasts:.3g} s of {duration:.3g} s look like "
-                    f"{reason} ({_WORDS[reason]}); that is too much for an accident, and nothing is left out.",
+                    f"{{log}}: {alike}, the first from {first}; {kept}",
+                    f"{{logs}}: {alike}; {kept}",
                     lasts=sum(lasts),
                     duration=log.duration,
                 )

@@ -50,7 +50,9 @@ def _reviewed(vehicle: Vehicle, log: Log) -> Log:
         log = without_accidents(vehicle, log, track, drive)
         offset = clock_offset(log, track, drive)
         if offset is not None and offset.significant:
-            size = {"size": abs(offset.seconds), "std": offset.std}
-            said.append(Note.of(log.name, "{log}: " + told(offset), "{logs}: " + told(offset), **size))
+            words, size = told(offset), abs(offset.seconds)
+            said.append(
+                Note.of(log.name, f"{{log}}: {words}", f"{{logs}}: {words}", size=size, std=offset.std)
+            )
     said = [note for note in said if note not in log.notes]
     return dataclasses.replace(log, notes=(*log.notes, *said)) if said else log

@@ -90,14 +90,15 @@ def clean(log: Log) -> Log:
 def _note(log: Log, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> Note:
     first, last = moment(t[0], log.clock), moment(t[-1], log.clock)
     when = f"at {first}" if len(t) == 1 else f"between {first} and {last.removeprefix('t = ')}"
-    what = {
+    done = {
         "spikes": "leave their neighbours and come back as no vehicle does",
         "dropouts": "hold a value that otherwise changes with every sample",
     }[kind]
+    what = f"{done} ({kind}); they count as missing."
     return Note.of(
         log.name,
-        f"{{log}}: {{found}} of {{count}} samples of {{channel}}, {when}, {what} ({kind}); they count as missing.",
-        f"{{found}} of {{count}} samples each of {{places}} {what} ({kind}); they count as missing.",
+        f"{{log}}: {{found}} of {{count}} samples of {{channel}}, {when}, {what}",
+        f"{{found}} of {{count}} samples each of {{places}} {what}",
         name,
         found=len(t),
         count=count,

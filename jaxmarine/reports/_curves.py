@@ -262,7 +262,7 @@ def known(missing: MissingWrench, axis: int, log: int | None = None) -> Bool[np.
 def tested(diagnosis: Diagnosis) -> str:
     """The test log that figures show, in words."""
     several = len(diagnosis.tests) > 1
-    return f"{diagnosis.predictions.log}, the longest test log," if several else "the test log"
+    return f"the longest test log, {diagnosis.predictions.log}" if several else "the test log"
 
 
 def compared(diagnosis: Diagnosis) -> tuple[str, ...]:

@@ -231,8 +231,9 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
         title="Predicted and measured",
         caption=(
             f"{count(len(courses), 'prediction').capitalize()} with an error that is typical of "
-            f"all {len(predictions.times)} on {tested(diagnosis)} (the median before). Left of the dotted line lies the "
-            "data from which the start is estimated; right of it the model sees the commands only. "
+            f"all {len(predictions.times)} on {tested(diagnosis)} (the median before). Left of the dotted "
+            "line lies the data from which the start is estimated; right of it the model sees the commands "
+            "only. "
             f"{'Blue' if 'after' in shown else 'Orange'} should follow grey."
         ),
         legend=("measured", *shown),

@@ -140,7 +140,11 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     unknown = joined([finding.target or "" for finding in diagnosis.findings if not finding.named])
     found = "found in the training logs"
     if unknown:
-        found = f"besides, something unknown acts in {unknown}" if named else f"something unknown acts in {unknown}"
+        found = (
+            f"besides, something unknown acts in {unknown}"
+            if named
+            else f"something unknown acts in {unknown}"
+        )
     elif not named and diagnosis.dropped:
         found = "what was found at first did not hold"
     return [
@@ -196,18 +200,20 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
         sizes = [s.log_evidence for s in shown if math.isfinite(s.log_evidence)]
         largest = max([*sizes, words.VERY_STRONG])
         if shown:
-            out.append((i, len(suspects), [_row(s, taken, largest, diagnosis) for s in shown]))
+            # The best of a round that was taken and does not stand in the answer.
+            gone = {one.label for one in diagnosis.dropped} if taken is None else set()
+            rows = [_row(s, taken, s is suspects[0] and s.label in gone, largest, diagnosis) for s in shown]
+            out.append((i, len(suspects), rows))
     return out
 
 
-def _row(suspect: Weighed, taken: Weighed | None, largest: float, diagnosis: Diagnosis) -> Row:
+def _row(suspect: Weighed, taken: Weighed | None, dropped: bool, largest: float, diagnosis: Diagnosis) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
     values = words.values(suspect.label, suspect.parameters, diagnosis.catalogue)
     begins = ""
     if suspect.since is not None:
         begins = f", since {moment(suspect.since, diagnosis.clock_of(suspect), '.3g')}"
-    dropped = taken is None and suspect.label in {one.label for one in diagnosis.dropped}
     return Row(
         title=title(suspect.label) + begins,
         evidence=number(evidence),

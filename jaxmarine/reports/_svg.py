@@ -83,7 +83,9 @@ class Plot:
         out = [f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" aria-hidden="true">']
         for value, text in y_ticks:
             y = float(up(value))
-            out.append(f'<path class="{"zero" if value == 0 else "grid"}" d="M{left:.1f} {y:.1f}h{wide:.1f}"/>')
+            out.append(
+                f'<path class="{"zero" if value == 0 else "grid"}" d="M{left:.1f} {y:.1f}h{wide:.1f}"/>'
+            )
             out.append(f'<text class="end" x="{left - 5:.1f}" y="{y + 4:.1f}">{text}</text>')
         for value, text in _labels(x_low, x_high):
             x = float(across(value))
@@ -95,7 +97,9 @@ class Plot:
             path = _path(across(x), up(y), shape)
             out.append(f'<path class="{shape} {kind}" d="{path}"/>')
         middle = left + wide / 2
-        out.append(f'<text class="middle" x="{middle:.1f}" y="{HEIGHT - 5:.1f}">{html.escape(self.x_title)}</text>')
+        out.append(
+            f'<text class="middle" x="{middle:.1f}" y="{HEIGHT - 5:.1f}">{html.escape(self.x_title)}</text>'
+        )
         turned = f'transform="translate(11 {_TOP + high / 2:.1f}) rotate(-90)"'
         out.append(f'<text class="middle" {turned}>{html.escape(self.y_title)}</text></svg>')
         return "".join(out)

@@ -195,15 +195,19 @@ def interval(ends: tuple[float, float] | None) -> str:
 
 def held_out(diagnosis: Diagnosis) -> str:
     """Whether the gain was measured on a log that the diagnosis had not seen."""
-    seen = [f"`{one.name}`" for one in diagnosis.gain.per_log if not one.held_out]
-    if diagnosis.gain.held_out:
-        one, it = ("was", "it") if len(diagnosis.tests) == 1 else ("were", "they")
-        names = joined([f"`{name}`" for name in diagnosis.tests])
+    names = joined([f"`{name}`" for name in diagnosis.tests])
+    if diagnosis.gain.held_out and len(diagnosis.tests) == 1:
         return (
-            f"Held out: {names} {one} not used for finding or fitting anything; {it} could at most take names "
-            f"back that buy nothing on {'it' if it == 'it' else 'them'}."
+            f"Held out: {names} was not used for finding or fitting anything; it could at most take names "
+            "back that buy nothing on it."
         )
+    if diagnosis.gain.held_out:
+        return (
+            f"Held out: {names} were not used for finding or fitting anything; they could at most take names "
+            "back that buy nothing on them."
+        )
+    seen = [f"`{one.name}`" for one in diagnosis.gain.per_log if not one.held_out]
     return (
-        f"Not held out: {joined(seen) or f'`{diagnosis.test}`'} {'was' if len(seen) < 2 else 'were'} also used "
-        "for training, so the gain is too good to be true for a new log. Test on another one."
+        f"Not held out: {joined(seen) or names} {'were' if len(seen) > 1 else 'was'} also used for training, "
+        "so the gain is too good to be true for a new log. Test on another one."
     )
