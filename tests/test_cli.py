@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,10 @@ def test_compiled_programs_are_kept_in_the_users_cache(tmp_path):
     )
     assert done.returncode == 0
     assert any((tmp_path / "jaxmarine").iterdir())
+
+
+def test_the_version_is_told(jaxmarine):
+    assert jaxmarine("--version") == (0, f"jaxmarine {version('jaxmarine')}\n", "")
 
 
 # --- what cannot be used -------------------------------------------------------------------------

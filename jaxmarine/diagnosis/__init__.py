@@ -15,10 +15,16 @@ from ._result import (
     Diagnosis as Diagnosis,
 )
 from ._result import (
+    Dropped as Dropped,
+)
+from ._result import (
     Finding as Finding,
 )
 from ._result import (
     Gain as Gain,
+)
+from ._result import (
+    LogGain as LogGain,
 )
 from ._result import (
     MissingWrench as MissingWrench,
@@ -31,6 +37,9 @@ from ._result import (
 )
 from ._result import (
     Recalibrated as Recalibrated,
+)
+from ._result import (
+    Unscored as Unscored,
 )
 from ._result import (
     Weighed as Weighed,

@@ -206,7 +206,7 @@ class _Sums:
     before: Float[np.ndarray, "starts columns"]
     after: Float[np.ndarray, "starts columns"]
     seen: Int[np.ndarray, "starts columns"]
-    stretches: tuple[Int[np.ndarray, " some"], ...]
+    stretches: tuple[Int[np.ndarray, " _"], ...]
 
     def of(self, columns: Sequence[int]) -> "_Sums":
         parts = {name: getattr(self, name)[:, columns] for name in ("before", "after", "seen")}
