@@ -6,12 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
+from jaxmarine.diagnosis._prepare import _predictable, workbench
 from jaxmarine.diagnosis._result import Gain, Predictions
 from jaxmarine.effects import ThrusterGain
 from jaxmarine.fitting import Room, cut, noise_of
+from jaxmarine.logs import Rejected
 from jaxmarine.vehicle import Placed
 from tests.boats import boat, record, steps
 
@@ -166,3 +169,18 @@ def test_a_position_that_jumps_spoils_the_starts_after_it_and_no_others():
     # Run-ins of 4 s that hold the jump in their middle; fixes before or after it outweigh the rest otherwise.
     assert lost.quantities[0] == "position" and 0 < lost.count <= 0.15 * lost.of
     assert spoilt.sound
+
+
+def test_test_logs_that_cannot_be_predicted_are_left_out_where_others_serve():
+    """One that is too short, and one whose accident leaves no stretch for two predictions."""
+    craft, log = boat(), record(boat(), steps(400))
+    bench = workbench(craft, [log], (ThrusterGain,), 2.0)
+    good, short = (dataclasses.replace(log.between(0.0, end), name=f"{end:g}.csv") for end in (30.0, 8.0))
+    hit = Rejected("hit.csv", 6.0, 25.0, "collision")
+    spoilt = dataclasses.replace(good, name="hit.csv", rejected=(hit,))
+    tests, notes = _predictable(bench, (short, good, spoilt))
+    assert [test.name for test in tests] == ["30.csv"]
+    assert [note.split(":")[1].strip() for note in notes] == ["8.csv", "hit.csv"]
+    assert "is shorter than a prediction with its run-in (9 s)" in notes[0]
+    with pytest.raises(InputError, match=r"8\.csv: is shorter than a prediction"):
+        _predictable(bench, (short, spoilt))
