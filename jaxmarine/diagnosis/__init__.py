@@ -1,5 +1,6 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
+from .._progress import Estimate as Estimate
 from ._diagnose import diagnose as diagnose
 from ._kinematics import disagreement as disagreement
 from ._plan import Box as Box

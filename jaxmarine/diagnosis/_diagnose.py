@@ -46,7 +46,7 @@ def diagnose(
     - `catalogue`: the effects that are suspected; `(*CATALOGUE, YourEffect)` adds one of your own.
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage; what they say of the share that is done, and of the
-      time that is left, an `Estimate` tells.
+      time that is left, `jaxmarine.diagnosis.Estimate` tells.
 
     Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
     runs away along them, where no test log measures what they measure, and where effects have more
