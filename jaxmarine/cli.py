@@ -6,15 +6,25 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
 from ._errors import InputError
-from ._progress import FOUND
+from ._progress import FOUND, Estimate
 
 Result = TypeVar("Result")
 
@@ -68,20 +78,59 @@ def _prepare() -> None:
 
 @contextmanager
 def _progress(text: str):
-    """A spinner with the stage and the time; a line for each stage where there is no terminal.
+    """A bar with the stage, the share done and the time left; lines of them where there is no terminal.
 
     Those lines go where the results go: what stands on stderr is what was wrong.
     """
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    estimate = Estimate()
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        TimeElapsedColumn(),
+        _Left(estimate),
+    )
     with Progress(*columns, console=_err, transient=True, disable=not _err.is_terminal) as bar:
-        task = bar.add_task(text)
+        task = bar.add_task(text, total=None)
 
         def tell(words: str) -> None:
-            bar.update(task, description=words)
+            estimate.hear(words)
+            # Without a share there is nothing to fill a bar by: it moves to and fro.
+            bar.update(
+                task, description=words, completed=estimate.share, total=1.0 if estimate.share else None
+            )
             if not _err.is_terminal:
-                print(f"{words} ...", flush=True)
+                told = str(estimate)
+                print(f"{words} ... {told}".rstrip(), flush=True)
 
         yield tell
+
+
+class _Left(ProgressColumn):
+    """The share that is done and the time that is left."""
+
+    def __init__(self, estimate: Estimate):
+        super().__init__()
+        self.estimate = estimate
+
+    def render(self, task: Task) -> Text:
+        del task
+        return Text(str(self.estimate))
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        _say(f"jaxmarine {version('jaxmarine')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    asked: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Prints the version.")
+    ] = False,
+) -> None:
+    del asked
 
 
 @app.command(
@@ -92,7 +141,10 @@ def diagnose(
     vehicle: VehicleOption,
     train: TrainOption,
     test: Annotated[
-        Path, typer.Option("--test", help="Log on which the gain is measured.", show_default=False)
+        list[Path],
+        typer.Option(
+            "--test", help="Log on which the gain is measured; repeat for several.", show_default=False
+        ),
     ],
     out: Annotated[
         Path, typer.Option("--out", help="Folder for report, diagnosis.json and extended.toml.")
@@ -105,20 +157,19 @@ def diagnose(
     """Shows what the vehicle file gets wrong on its logs, names the cause, and measures the gain."""
     _prepare()
     from .diagnosis import diagnose as run
-    from .logs import read_log
     from .vehicle_io import load_vehicle
 
     _folder(out, make=False)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
     logs = _read(train, craft, columns_map)
-    held_out = read_log(test, craft, columns_map)
-    _note(*logs, held_out)
+    held_out = _read(test, craft, columns_map)
+    _note(*logs, *held_out)
     with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
         result = _stoppable(
             lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell, _import_reports
         )
-    _write(result, out, said=_notes(*logs, held_out))
+    _write(result, out, said=_notes(*logs, *held_out))
 
 
 def _read(paths: Sequence[Path], craft, columns) -> list:
@@ -193,7 +244,9 @@ def _say(text: str) -> None:
 
 def _notes(*logs) -> tuple[str, ...]:
     """What reading the logs has changed or left out."""
-    return tuple(dict.fromkeys(note for log in logs for note in log.notes))
+    from .logs import merged
+
+    return merged(note for log in logs for note in log.notes)
 
 
 def _note(*logs) -> None:
@@ -209,6 +262,7 @@ def _columns(path: Path | None):
 
 def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
+    from .logs import moment
     from .reports import plus_minus, write_report
     from .vehicle_io import save_vehicle
 
@@ -221,12 +275,16 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
             f"{name} = {plus_minus(p.value, p.std, '' if p.unit == '1' else p.unit).replace('−', '-')}"
             for name, p in finding.parameters.items()
         )
-        since = "" if finding.since is None else f" since t = {finding.since:g} s of {finding.since_log}"
+        since = ""
+        if finding.since is not None:
+            since = f" since {moment(finding.since, result.clock_of(finding))} of {finding.since_log}"
         _say(f"  {finding.label}{since}" + (f": {values}" if values else ""))
     if result.depends_on:
         _say(f"  what is left depends on {', '.join(result.depends_on)}")
+    for one in result.dropped:
+        _say(f"  dropped: {one.label}. {one.reason}")
     for note in result.notes:
-        if note not in said:
+        if note not in (*said, *result.warnings):
             _say(f"  note: {note}")
     for group in result.groups:
         causes = " ".join(f'--cause "{words}"' for words in result.causes_of(group))
@@ -234,15 +292,44 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
             f"These logs cannot tell {' from '.join(group)}; for a manoeuvre that would, run\n"
             f"  jaxmarine plan --vehicle VEHICLE {causes}"
         )
+    _say_gain(result)
+    _say(f"Report: {page}")
+
+
+def _say_gain(result) -> None:
+    """What the extension buys: first what it makes worse, then all channels together, then each quantity."""
+    from ._types import CHANNEL_UNITS, SENSORS
+
     gain = result.gain
-    interval = "too short a log for an interval"
-    if gain.ratio_ci95 is not None:
-        interval = "95 %: {:.3f} to {:.3f}".format(*gain.ratio_ci95)
+    for sentence in result.warnings:
+        _say(sentence)
+    held = "" if gain.held_out else ", not held out"
     _say(
         f"{gain.horizon:g} s prediction error on {result.test}: {gain.ratio:.3f} of what it was "
-        f"({interval}){'' if gain.held_out else ', not held out'}"
+        f"({_interval(gain.ratio_ci95)}){held}"
     )
-    _say(f"Report: {page}")
+    for name, error in gain.quantities.items():
+        if error is not None:
+            unit = CHANNEL_UNITS[SENSORS[name][0]]
+            channels = [channel for channel in SENSORS[name] if channel in gain.channels]
+            each = ", ".join(f"{channel} {_ratio(gain.channels[channel])}" for channel in channels)
+            _say(
+                f"  {name}: {error.before:.3g} to {error.after:.3g} {unit}, {_ratio(error)} of it "
+                f"({_interval(error.ratio_ci95)}); {each}"
+            )
+    for one in gain.per_log if len(gain.per_log) > 1 else ():
+        held = "" if one.held_out else ", not held out"
+        _say(f"  {one.name}: {one.ratio:.3f} ({_interval(one.ratio_ci95)}){held}")
+
+
+def _interval(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "too short for an interval"
+    return "95 %: {:.3f} to {:.3f}".format(*ends)
+
+
+def _ratio(error) -> str:
+    return "-" if error.ratio is None else f"{error.ratio:.3f}"
 
 
 @app.command(epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`")

@@ -3,20 +3,25 @@
 import _thread
 import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxmarine as jm
-from jaxmarine.cli import _say, _stoppable, _Stopped
+from jaxmarine._progress import FITTING, in_round
+from jaxmarine.cli import _progress, _say, _say_gain, _stoppable, _Stopped
+from jaxmarine.diagnosis import BeforeAfter, Gain, LogGain
 from jaxmarine.examples import operator, recorded
 
 from .shell import exit_code
@@ -92,6 +97,10 @@ def test_compiled_programs_are_kept_in_the_users_cache(tmp_path):
     )
     assert done.returncode == 0
     assert any((tmp_path / "jaxmarine").iterdir())
+
+
+def test_the_version_is_told(jaxmarine):
+    assert jaxmarine("--version") == (0, f"jaxmarine {version('jaxmarine')}\n", "")
 
 
 # --- what cannot be used -------------------------------------------------------------------------
@@ -412,6 +421,30 @@ def test_a_line_of_results_stays_one_line_in_a_pipe(capsys):
     line = "  waves: " + ", ".join(f"north = {i}.25 ± 0.01 N" for i in range(20))
     _say(line)
     assert capsys.readouterr().out == f"{line}\n"
+
+
+def test_what_is_predicted_worse_is_the_first_line_of_a_gain(capsys):
+    per_log = (LogGain("a.csv", 0.5, (0.4, 0.6), True, 40), LogGain("b.csv", 0.9, None, False, 20))
+    worse = BeforeAfter(0.6, 1.1, (1.7, 1.95), worse=True)
+    gain = Gain(5.0, None, worse, 0.63, (0.5, 0.8), False, 60, channels={"u": worse}, per_log=per_log)
+    warned = ("Predicted worse than by the vehicle file on a.csv and b.csv, for certain: ...",)
+    _say_gain(SimpleNamespace(gain=gain, warnings=warned, test="a.csv and b.csv"))
+    assert capsys.readouterr().out.splitlines() == [
+        *warned,
+        "5 s prediction error on a.csv and b.csv: 0.630 of what it was (95 %: 0.500 to 0.800), not held out",
+        "  velocity: 0.6 to 1.1 m/s, 1.833 of it (95 %: 1.700 to 1.950); u 1.833",
+        "  a.csv: 0.500 (95 %: 0.400 to 0.600)",
+        "  b.csv: 0.900 (too short for an interval), not held out",
+    ]
+
+
+def test_without_a_terminal_stages_are_lines_with_the_share_and_the_time_left(capsys):
+    with _progress("diagnosing") as tell:
+        tell(FITTING)
+        tell(in_round(2, 6, "scoring 83 suspects"))
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"{FITTING} ..."
+    assert re.fullmatch(r"round 2 of at most 6: scoring 83 suspects \.\.\. 14 % done, about 5 s left", second)
 
 
 @pytest.mark.slow

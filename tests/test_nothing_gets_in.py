@@ -237,7 +237,7 @@ def test_a_vehicle_file_that_names_it_script_gives_a_page_without_that_script(tm
     page = write_report(diagnosis(vehicle=craft), tmp_path / "report")
     assert EVIL not in page.read_text("utf-8")
     assert f"Diagnosis of {EVIL}" in read(page).text
-    assert read(page).scripts == ["application/json", "", ""]
+    assert read(page).scripts == [""]
 
 
 # --- the network -----------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from jaxmarine.diagnosis._gain import Candidate, _stretches, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.diagnosis._result import Predictions
 from jaxmarine.diagnosis._score import Reduced, savings, step_with
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
@@ -84,6 +85,12 @@ def test_a_step_with_entries_held_is_least_in_the_others():
     assert step_with(g, h, held, values) * units == pytest.approx(exact * units, rel=1e-7)
 
 
+def shown(
+    times: np.ndarray, before: np.ndarray, after: np.ndarray, measured: np.ndarray, begin: int, noise, log=""
+) -> Predictions:
+    return Predictions(times, begin, measured, before, after, noise, log)
+
+
 def predictions(starts: int, size: float, seed: int):
     """Predictions of u that miss the measurement by errors of a given size."""
     rng = np.random.default_rng(seed)
@@ -97,10 +104,10 @@ def test_the_gain_is_the_ratio_of_root_mean_square_errors():
     times = stride * np.arange(starts)[:, None] + np.arange(6)
     measured = np.where(np.isfinite(predictions(starts, 1.0, 0)), 0.0, np.nan)
     before, after = predictions(starts, 0.4, 1), predictions(starts, 0.1, 2)
-    # Samples of the run-in do not count.
-    before[:, :2], after[:, :2] = 100.0, 100.0
+    # Samples of the run-in do not count, but for saying whether the start is good.
+    before[:, :2], after[:, :2] = 100.0, 0.01
     noise = np.full(len(CHANNELS), 0.02)
-    found, _ = gain(times, before, after, measured, 2, noise, True)
+    found, _ = gain([shown(times, before, after, measured, 2, noise)], noise, [True])
     assert found.ratio == pytest.approx(0.25)
     # Errors of one size at every start are the same in every stretch.
     assert found.ratio_ci95 == pytest.approx((0.25, 0.25))
@@ -121,7 +128,8 @@ def test_intervals_of_the_gain_hold_the_truth_as_often_as_they_say(starts, stret
     inside = 0
     for _ in range(draws):
         size = np.repeat(rng.lognormal(sigma=sigma, size=starts // alike), alike)[:, None, None]
-        interval = gain(times, before, size * before, measured, 0, noise, True)[0].ratio_ci95
+        each = shown(times, before, size * before, measured, 0, noise)
+        interval = gain([each], noise, [True])[0].ratio_ci95
         assert interval is not None
         inside += interval[0] < truth < interval[1]
     # 95 %, less some 5 % that the skewness of so few sizes takes, and three standard errors of the count.
@@ -133,7 +141,8 @@ def test_a_log_of_hardly_more_than_one_prediction_gives_no_interval():
     before = np.full((30, 91, len(CHANNELS)), np.nan)
     before[..., CHANNELS.index("u")] = 1.0
     measured = np.where(np.isfinite(before), 0.0, np.nan)
-    found, _ = gain(times, before, 0.5 * before, measured, 40, np.ones(len(CHANNELS)), True)
+    noise = np.ones(len(CHANNELS))
+    found, _ = gain([shown(times, before, 0.5 * before, measured, 40, noise)], noise, [True])
     assert found.ratio == pytest.approx(0.5) and found.ratio_ci95 is None
 
 
@@ -160,7 +169,7 @@ def test_a_wave_is_met_again_at_another_phase():
     )
 
     def ratio(before: np.ndarray, after: np.ndarray) -> float:
-        return gain(times, before, after, measured, begin, noise, True)[0].ratio
+        return gain([shown(times, before, after, measured, begin, noise)], noise, [True])[0].ratio
 
     # Whether the file's phase is right or not, it is forgotten.
     assert ratio(right, turned) == pytest.approx(1.0, abs=1e-3)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from jaxmarine.diagnosis import Diagnosis, _coefficients, _diagnose, _settle, _unnamed
+from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots
 from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Workbench
-from jaxmarine.diagnosis._result import Gain, Predictions
+from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file
 from jaxmarine.diagnosis._unknown import Dependence
@@ -252,7 +253,8 @@ def test_settling_leaves_what_is_needed_and_the_coefficient_that_is_wrong(monkey
     monkeypatch.setattr(_settle, "gain_at_home", lambda bench, model, dense: 1.0)
     bench = Bench(off(s0=-0.3, s4=0.3))
     found = bench.fit(5, 4)
-    model, dense, rounds = _settle.settled(bench, Found(found, bench.screen(found), (), ()))
+    model, dense, rounds, dropped = _settle.settled(bench, Found(found, bench.screen(found), (), ()))
+    assert dropped == (Dropped("5", NEEDLESS),)
     assert (suspects(model), dense, len(rounds)) == ([4, 0], False, 1)
     assert np.allclose(model.z, [0, 0, 0, 0, 0.3, -0.3])
 
@@ -461,6 +463,7 @@ def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
         lambda k, where, found: [(100.0, shares[i]) for i in (4, 5, 6)[: len(where)]],
     )
     answer = _unnamed.with_unknown(bench, judged_as(bench.fit(4, 5, 6)), False, lambda words: None)
+    assert answer.dropped == (Dropped("6", STOOD_IN), Dropped("5", NEEDLESS))
     assert suspects(answer.model) == [4] and len(answer.unknown) == 1
     white = judged_as(bench.fit(4, 5, 6), white=True)
     assert _unnamed.with_unknown(bench, white, False, lambda words: None) == Answer(white, (), False)
@@ -498,7 +501,7 @@ def test_unknown_dependences_alone_are_the_answer_where_they_leave_clearly_less(
     model = bench.fit(*range(4, 4 + members))
     answer = Answer(judged_as(model, white), unknown, False)
     rounds = (Round((trial(bench, bench.fit(), 4),), True, 1.0),)
-    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, False, rounds))
+    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, False, rounds, ()))
     monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
     monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
     monkeypatch.setattr(_diagnose, "left_over", lambda bench, answer: left)
@@ -506,6 +509,7 @@ def test_unknown_dependences_alone_are_the_answer_where_they_leave_clearly_less(
     chosen, weighed = _diagnose._chosen(bench, rival, found, lambda words: None)
     assert weighed == rounds
     assert (chosen is answer) == named
+    assert chosen.dropped == (() if named else tuple(Dropped(str(i), UNNAMED) for i in suspects(model)))
     assert named or (chosen.unknown == rival.dependences and not chosen.changed)
 
 
@@ -540,7 +544,7 @@ def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unkn
     measured = (gain(ratio, (ratio - 0.2, ratio + 0.2)), object.__new__(Predictions))
     monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: home)
     monkeypatch.setattr(_diagnose, "measured_gain", lambda *asked: measured)
-    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, a_log(2))
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),))
     if note is None:
         assert kept is answer and notes == []
         assert known == (measured if members and not unknown else None)
@@ -583,7 +587,7 @@ WORSE, UNSURE = "predicts test.csv worse than the file does", "does not confirm 
 )
 def test_a_reader_is_told_what_the_test_log_says(interval, changed, said):
     diagnosis: Any = object.__new__(Diagnosis)
-    quiet = dict(test="test.csv", recalibrated=(), contradicted=None, misfit_after=1.0)
+    quiet = dict(tests=("test.csv",), recalibrated=(), contradicted=None, misfit_after=1.0)
     vars(diagnosis).update(quiet, gain=gain(0.95, interval))
     answer = Answer(judged_as(Bench({}).fit()), (dependence(),), False)
     notes = _diagnose._remarks(diagnosis, answer, changed)
@@ -592,7 +596,9 @@ def test_a_reader_is_told_what_the_test_log_says(interval, changed, said):
 
 def test_a_reader_is_told_what_else_stands_against_the_answer():
     diagnosis: Any = object.__new__(Diagnosis)
-    loud = dict(test="test.csv", recalibrated=("one",), contradicted="Sensors disagree.", misfit_after=1e4)
+    loud = dict(
+        tests=("test.csv",), recalibrated=("one",), contradicted="Sensors disagree.", misfit_after=1e4
+    )
     vars(diagnosis).update(loud, gain=gain(0.5, (0.4, 0.6)))
     answer = Answer(judged_as(Bench({}).fit()), (dependence(tied=("r",)),), True)
     many, tied, contradicted, far = _diagnose._remarks(diagnosis, answer, True)

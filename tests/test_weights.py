@@ -28,7 +28,7 @@ def coloured(rho: float, windows: int, size: int, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
 def test_overdispersion_is_that_of_the_mean_of_coloured_noise(rho: float):
-    """The variance of a mean of n samples with correlation rho^l is known; twice the noise has twice of it."""
+    """The variance of a mean of n samples with correlation rho^l is known; twice the noise is twice of it."""
     size, noise = 40, coloured(rho, 600, 40)
     lags = np.arange(1, size)
     expected = np.sqrt(1 + 2 * np.sum((1 - lags / size) * rho**lags))

@@ -206,10 +206,10 @@ def test_commands_beyond_ten_are_those_of_the_file():
 
 def test_logs_of_one_name_are_told_apart_and_a_log_tested_on_itself_keeps_its_own():
     one, other = (record(boat(), steps(seed=i), seed=i) for i in range(2))
-    (first, second), test, notes = named_apart((one, other), one)
+    (first, second), (test,), notes = named_apart((one, other), (one,))
     assert (first.name, second.name, test.name) == ("log.csv", "log.csv (2)", "log.csv")
     assert notes == ["Another log is called log.csv too; this one is `log.csv (2)` here."]
-    _, test, _ = named_apart((one,), other)
+    _, (test,), _ = named_apart((one,), (other,))
     assert test.name == "log.csv (2)"
 
 

@@ -1,5 +1,6 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
+from .._progress import Estimate as Estimate
 from ._diagnose import diagnose as diagnose
 from ._kinematics import disagreement as disagreement
 from ._plan import Box as Box
@@ -15,10 +16,16 @@ from ._result import (
     Diagnosis as Diagnosis,
 )
 from ._result import (
+    Dropped as Dropped,
+)
+from ._result import (
     Finding as Finding,
 )
 from ._result import (
     Gain as Gain,
+)
+from ._result import (
+    LogGain as LogGain,
 )
 from ._result import (
     MissingWrench as MissingWrench,
@@ -31,6 +38,9 @@ from ._result import (
 )
 from ._result import (
     Recalibrated as Recalibrated,
+)
+from ._result import (
+    Unscored as Unscored,
 )
 from ._result import (
     Weighed as Weighed,

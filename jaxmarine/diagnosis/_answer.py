@@ -208,6 +208,7 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
                 saved_chi2=float(trial.saved),
                 parameters=trial.parameters(bench),
                 since=None if since is None else since.time,
+                since_log=None if since is None else bench.data.logs[since.log].name,
             )
         )
     return tuple(out)

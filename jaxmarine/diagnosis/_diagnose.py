@@ -7,12 +7,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._precision import need_double
-from .._progress import Progress, silent
+from .._progress import AGAIN, LEARNING, PREDICTING, SETTLING, Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
-from ..logs import Log
+from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
+from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
 from ._judge import judged
 from ._kinematics import disagreement
@@ -20,7 +21,7 @@ from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
 from ._prepare import opened_with, sharpened
-from ._result import Diagnosis, Finding, Gain, Predictions, Verdict
+from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
 from ._unnamed import ALONE, WITH_UNKNOWN, Answer, Unnamed, left_over, with_unknown
@@ -33,38 +34,39 @@ from ._worth import buys_nothing, gain_at_home, measured_gain
 def diagnose(
     vehicle: Vehicle,
     train: Sequence[Log] | Log,
-    test: Log,
+    test: Sequence[Log] | Log,
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
     window: float | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Shows what a vehicle gets wrong on its logs, names the cause, extends it and measures the gain.
 
-    - `train`: logs in order of time; `test`: the log on which the gain is measured. It names nothing, but
-      names that buy nothing on it are dropped.
+    - `train`: logs in order of time; `test`: the logs on which the gain is measured. They name nothing, but
+      names that buy nothing on them are dropped.
     - `catalogue`: the effects that are suspected; `(*CATALOGUE, YourEffect)` adds one of your own.
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
-    - `progress`: called with a few words at each stage.
+    - `progress`: called with a few words at each stage; what they say of the share that is done, and of the
+      time that is left, `jaxmarine.diagnosis.Estimate` tells.
 
     Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
-    runs away along them, where the test log measures nothing that they measure, and where effects have more
+    runs away along them, where no test log measures what they measure, and where effects have more
     parameters or begin at more times than there is room for; `ValueError` in single precision.
     """
     need_double("A diagnosis")
     opened = opened_with(vehicle, train, test, catalogue, window, progress)
-    bench, rival, found = _searched(opened.bench, opened.begun, progress)
+    bench, rival, found, lost = _searched(opened.bench, opened.begun, progress)
     answer, rounds = _chosen(bench, rival, found, progress)
-    answer, measured, dropped = _worthwhile(bench, rival, answer, opened.test)
+    answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
     terms, unlearned = _learned(bench, answer, progress)
     extended = extended_by(bench, model, answer.dense).place(*terms)
-    progress("predicting the test log")
+    progress(PREDICTING)
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
     changed = bool(model.members or terms or (answer.dense and answer.unknown))
-    measured = measured or measured_gain(bench, model, changed, terms, opened.test)
+    measured = measured or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
     findings = findings_of(bench, now, rounds, std)
-    logs, test = bench.data.logs, opened.test
+    logs, tests = bench.data.logs, opened.tests
     apart = None if now.white else disagreement(extended, logs, bench.noise)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
@@ -91,24 +93,40 @@ def diagnose(
         catalogue=tuple(catalogue),
         check=bench.check(now.model),
         train=tuple(log.name for log in logs),
-        test=test.name,
+        tests=tuple(log.name for log in tests),
         contradicted=apart,
-        rejected=tuple(dict.fromkeys(one for log in (*logs, test) for one in log.rejected)),
+        rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
+        dropped=_left_out((*lost, *answer.dropped), findings),
+        clocks={log.name: log.clock for log in (*logs, *tests)},
     )
-    notes = (*opened.notes, *dropped, *unlearned, *_remarks(diagnosis, answer, changed))
-    return dataclasses.replace(diagnosis, notes=tuple(dict.fromkeys(notes)))
+    said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
+    notes = (*diagnosis.warnings, *opened.notes, *said)
+    return dataclasses.replace(diagnosis, notes=merged(notes))
 
 
-def _searched(bench: Workbench, begun: Model, progress: Progress) -> tuple[Workbench, Unnamed, Found]:
-    """What the search finds, on the workbench with the noises that it leaves."""
+def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[Dropped, ...]:
+    """Each once, by the reason for which it went first; without what was found again."""
+    stays = {finding.label for finding in findings}
+    once = {one.label: one for one in reversed(dropped) if one.label not in stays}
+    return tuple(reversed(once.values()))
+
+
+def _searched(
+    bench: Workbench, begun: Model, progress: Progress
+) -> tuple[Workbench, Unnamed, Found, tuple[Dropped, ...]]:
+    """What the search finds, on the workbench with the noises that it leaves.
+
+    And what it found before that and did not find again.
+    """
     rival = Unnamed(bench)
     found = search(bench, bench.fitted(begun), progress, rival.beats)
     sharper = sharpened(bench, found.model)
     if sharper is None:
-        return bench, rival, found
-    progress("searching again, with sensors as exact as what was found leaves them")
-    rival = Unnamed(sharper)
-    return sharper, rival, search(sharper, sharper.fitted(begun), progress, rival.beats)
+        return bench, rival, found, ()
+    progress(AGAIN)
+    rival, first = Unnamed(sharper), found.model
+    found = search(sharper, sharper.fitted(begun), progress, rival.beats)
+    return sharper, rival, found, gone(sharper, first, found.model, SHARPER)
 
 
 def _chosen(
@@ -116,18 +134,28 @@ def _chosen(
 ) -> tuple[Answer, tuple[Round, ...]]:
     """Names, unknown dependences, or both: what explains the logs better; and all that was weighed."""
     if rival.beats(found.model):
-        return rival.answer, found.rounds
-    progress("settling what was found")
-    model, dense, rounds = settled(bench, found)
+        return _without_names(bench, rival, found.model, (), UNNAMED), found.rounds
+    progress(SETTLING)
+    model, dense, rounds, dropped = settled(bench, found)
     answer = with_unknown(bench, judged(bench, model), dense, progress)
+    if dropped:
+        answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     share = WITH_UNKNOWN if answer.unknown else ALONE
     if answer.changed and not answer.judged.white and rival.leaves_less(left_over(bench, answer), share):
-        answer = rival.answer
+        answer = _without_names(bench, rival, answer.model, answer.dropped, UNNAMED)
     return answer, rounds
 
 
+def _without_names(
+    bench: Workbench, rival: Unnamed, named: Model, dropped: tuple[Dropped, ...], reason: str
+) -> Answer:
+    """The answer without names, which knows what was named before and why that went."""
+    more = gone(bench, named, rival.answer.model, reason)
+    return dataclasses.replace(rival.answer, dropped=dropped + more)
+
+
 def _worthwhile(
-    bench: Workbench, rival: Unnamed, answer: Answer, test: Log
+    bench: Workbench, rival: Unnamed, answer: Answer, tests: Sequence[Log]
 ) -> tuple[Answer, tuple[Gain, Predictions] | None, list[str]]:
     """The answer, or the one without names where names do not predict better, and a note of that.
 
@@ -136,12 +164,14 @@ def _worthwhile(
     what = "What was named at first" if answer.model.members else "The file as it was refitted at first"
     if gain_at_home(bench, answer.model, answer.dense) > 1.0:
         worse = f"{what} predicts the training log worse than the file over {HORIZON:g} s; it was dropped."
-        return rival.answer, None, [worse]
+        return _without_names(bench, rival, answer.model, answer.dropped, WORSE), None, [worse]
     if not answer.model.members or answer.unknown:
         return answer, None, []
-    measured = measured_gain(bench, answer.model, True, (), test)
+    measured = measured_gain(bench, answer.model, True, (), tests)
     if buys_nothing(measured[0]):
-        return rival.answer, None, [f"{what} buys nothing on {test.name}; it was dropped."]
+        names = together([test.name for test in tests])
+        told = [f"{what} buys nothing on {names}; it was dropped."]
+        return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
     return answer, measured, []
 
 
@@ -149,7 +179,7 @@ def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tupl
     """Networks for what is unknown, where they are of use, and notes where there are none."""
     if not answer.unknown:
         return (), []
-    progress("learning what is missing")
+    progress(LEARNING)
     learned = learn(answer.judged.knots, answer.unknown, bench.vehicle.thruster_names)
     terms = tuple(Placed(term, term.target) for term in learned)
     notes = [
@@ -183,6 +213,16 @@ def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ..
         )
         for one in answer.unknown
     )
+
+
+def _not_scored(gain: Gain) -> list[str]:
+    """A note per test log of which starts are wrong."""
+    return [
+        f"{one.log}: at {one.count} of {one.of} starts of a prediction both models are off by far more than "
+        f"the sensors where it begins ({', '.join(one.quantities)}); "
+        + ("these are not scored." if gain.sound else "they say little of what comes after.")
+        for one in gain.unscored
+    ]
 
 
 def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:

@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._progress import Progress, silent
+from .._progress import FITTING, Progress, silent
 from .._types import CHANNELS
 from ..effects import AbstractEffect
 from ..fitting import cut, noise_of, reviewed
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle
-from ._gain import LEAST
+from ._gain import HORIZON, LEAST, run_in_of, stride_of
 from ._kinematics import contradiction
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
@@ -54,18 +54,18 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
 
 @dataclasses.dataclass(frozen=True)
 class Opened:
-    """What a diagnosis begins with: a workbench, the model to start from, the test log, what to tell."""
+    """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell."""
 
     bench: Workbench
     begun: Model
-    test: Log
+    tests: tuple[Log, ...]
     notes: tuple[str, ...]
 
 
 def opened_with(
     vehicle: Vehicle,
     train: Sequence[Log] | Log,
-    test: Log,
+    test: Sequence[Log] | Log,
     catalogue: Sequence[type[AbstractEffect]],
     window: float | None,
     progress: Progress = silent,
@@ -77,23 +77,47 @@ def opened_with(
     logs = (train,) if isinstance(train, Log) else tuple(train)
     if not logs:
         raise InputError("A diagnosis needs at least one training log.")
-    notes = [note for log in (*logs, test) for note in log.notes]
-    logs, test, doubled = named_apart(logs, test)
+    tests = (test,) if isinstance(test, Log) else tuple(test)
+    if not tests:
+        raise InputError("A diagnosis needs at least one test log.")
+    notes = [note for log in (*logs, *tests) for note in log.notes]
+    logs, tests, doubled = named_apart(logs, tests)
     moving(logs)
-    (*logs, test), reviews = reviewed(vehicle, (*logs, test))
-    bench = workbench(vehicle, tuple(logs), catalogue, window)
-    if test.duration < LEAST:
-        raise InputError(
-            f"{test.name}: is shorter than a prediction with its run-in ({LEAST:g} s); use a longer test log."
-        )
-    if not (np.isfinite(test.channels).any(axis=0) & np.isfinite(bench.noise)).any():
-        raise InputError(
-            f"{test.name}: measures nothing that {logs[0].name} measures; use a test log with its channels."
-        )
-    progress("fitting the vehicle file")
+    every, reviews = reviewed(vehicle, (*logs, *tests))
+    logs, tests = every[: len(logs)], every[len(logs) :]
+    bench = workbench(vehicle, logs, catalogue, window)
+    tests, left_out = _predictable(bench, tests)
+    progress(FITTING)
     begun, told = begun_with(bench)
-    notes += [*doubled, *reviews, *stuck(bench), *told]
-    return Opened(rescaled(bench, begun), begun, test, tuple(notes))
+    notes += [*doubled, *reviews, *left_out, *stuck(bench), *told]
+    return Opened(rescaled(bench, begun), begun, tests, tuple(notes))
+
+
+def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:
+    """The test logs that can be predicted, and a note on each of the others; raises where there is none."""
+    usable, wrong = [], []
+    for test in tests:
+        try:
+            if test.duration < LEAST:
+                raise InputError(
+                    f"{test.name}: is shorter than a prediction with its run-in ({LEAST:g} s); use a longer "
+                    "test log."
+                )
+            if not (np.isfinite(test.channels).any(axis=0) & np.isfinite(bench.noise)).any():
+                raise InputError(
+                    f"{test.name}: measures nothing that {bench.data.logs[0].name} measures; use a test log "
+                    "with its channels."
+                )
+            # Gaps and accidents may leave no stretch that is long enough.
+            run_in = run_in_of(test, bench.data.length)
+            cut(bench.vehicle, [test], bench.noise, run_in + HORIZON, stride_of(test, run_in))
+        except InputError as error:
+            wrong.append(error)
+        else:
+            usable.append(test)
+    if not usable:
+        raise wrong[0]
+    return tuple(usable), [f"Left out of the gain: {error}" for error in wrong]
 
 
 def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
@@ -121,21 +145,23 @@ def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | 
     return bench
 
 
-def named_apart(logs: Sequence[Log], test: Log) -> tuple[tuple[Log, ...], Log, list[str]]:
+def named_apart(
+    logs: Sequence[Log], tests: Sequence[Log]
+) -> tuple[tuple[Log, ...], tuple[Log, ...], list[str]]:
     """The logs with names of their own, by which a beginning says in which log it lies; and notes of changes.
 
     A test log keeps the name of the training log that it is.
     """
     met, out, notes = dict[str, int](), [], []
-    for log in (*logs, test):
-        twin = next((one for one in out if log is test and same_log(one, log)), None)
+    for number, log in enumerate((*logs, *tests)):
+        twin = next((one for one in out[: len(logs)] if number >= len(logs) and same_log(one, log)), None)
         count = met[log.name] = met.get(log.name, 0) + 1
         if count > 1 and twin is None:
             name = f"{log.name} ({count})"
             notes.append(f"Another log is called {log.name} too; this one is `{name}` here.")
             log = dataclasses.replace(log, name=name)
         out.append(log)
-    return tuple(out[:-1]), out[-1], notes
+    return tuple(out[: len(logs)]), tuple(out[len(logs) :]), notes
 
 
 def moving(logs: Sequence[Log]) -> None:

@@ -7,9 +7,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from .._types import CHANNEL_UNITS
 from ..effects import AbstractEffect
 from ..fitting import Check
-from ..logs import Rejected
+from ..logs import Rejected, together
 from ..networks import LearnedWrench
 from ..vehicle import Vehicle
 
@@ -78,19 +79,58 @@ class Finding:
 
 @dataclasses.dataclass(frozen=True)
 class BeforeAfter:
-    """A root-mean-square error before and after."""
+    """A root-mean-square error before and after, with the 95 % interval of the ratio of the two.
+
+    - `worse`: whether it has grown for certain, and by more than the noise of the sensor explains.
+    """
 
     before: float
     after: float
+    ratio_ci95: tuple[float, float] | None = None
+    worse: bool = False
+
+    @property
+    def ratio(self) -> float | None:
+        """After over before; None where nothing was wrong before."""
+        return self.after / self.before if self.before > 0 else None
+
+
+@dataclasses.dataclass(frozen=True)
+class LogGain:
+    """The ratio of errors on one of the test logs, as `Gain` has it of all; `starts`: scored predictions."""
+
+    name: str
+    ratio: float
+    ratio_ci95: tuple[float, float] | None
+    held_out: bool
+    starts: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Unscored:
+    """Starts of a test log, `count` of `of`, that are not scored: neither model meets the log there.
+
+    - `quantities`: in which the estimated state is off, the most frequent first.
+    """
+
+    log: str
+    count: int
+    of: int
+    quantities: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class Gain:
-    """What the extension buys on the test log: open-loop predictions over `horizon` seconds.
+    """What the extension buys on the test logs: open-loop predictions over `horizon` seconds.
 
     `ratio` is that of the error over all measured channels, each in units of its noise; its interval is None
-    where the log is too short for one. `held_out` is False where the test log is also a training log; where
-    it is true, that log could at most take names back that buy nothing on it.
+    where the logs are too short for one. `held_out` is False where a test log is also a training log; where
+    it is true, test logs could at most take names back that buy nothing on them.
+
+    - `position` to `rate`: lengths of the vectors of errors, None where nothing of it was measured;
+      `channels`: each measured channel by its name, in its own unit.
+    - `per_log`: each test log by itself. `unscored`: starts that are left out of all this.
+    - `sound`: False where so many starts are wrong that what is measured here says little.
     """
 
     horizon: float
@@ -100,6 +140,65 @@ class Gain:
     ratio_ci95: tuple[float, float] | None
     held_out: bool
     starts: int  # number of predictions
+    attitude: BeforeAfter | None = None  # [rad]
+    rate: BeforeAfter | None = None  # [rad/s]
+    channels: dict[str, BeforeAfter] = dataclasses.field(default_factory=dict)
+    per_log: tuple[LogGain, ...] = ()
+    unscored: tuple[Unscored, ...] = ()
+    sound: bool = True
+
+    @property
+    def quantities(self) -> dict[str, BeforeAfter | None]:
+        """The errors of whole vectors by name."""
+        return {name: getattr(self, name) for name in ("position", "attitude", "velocity", "rate")}
+
+    @property
+    def worse(self) -> dict[str, BeforeAfter]:
+        """The quantities and channels that are predicted worse than before for certain."""
+        every = self.quantities | self.channels
+        return {name: one for name, one in every.items() if one is not None and one.worse}
+
+    def to_json(self) -> dict:
+        """What `diagnosis.json` holds under `gain`."""
+
+        def pair(value: BeforeAfter | None):
+            return value and {
+                "before": value.before,
+                "after": value.after,
+                "ratio": value.ratio,
+                "ratio_ci95": value.ratio_ci95 and list(value.ratio_ci95),
+            }
+
+        return {
+            "horizon_s": self.horizon,
+            "position_rmse_m": pair(self.position),
+            "attitude_rmse_rad": pair(self.attitude),
+            "velocity_rmse_m_s": pair(self.velocity),
+            "rate_rmse_rad_s": pair(self.rate),
+            "per_channel": {name: pair(one) for name, one in self.channels.items()},
+            "worse": list(self.worse),
+            "ratio": self.ratio,
+            "ratio_ci95": self.ratio_ci95 and list(self.ratio_ci95),
+            "held_out": self.held_out,
+            "per_log": [dataclasses.asdict(one) for one in self.per_log],
+            "starts": self.starts,
+            "unscored": [dataclasses.asdict(one) for one in self.unscored],
+            "sound": self.sound,
+        }
+
+
+_UNITS = {"position": "m", "attitude": "rad", "velocity": "m/s", "rate": "rad/s"} | {
+    str(name): unit for name, unit in CHANNEL_UNITS.items()
+}
+
+
+def _grown(name: str, error: BeforeAfter) -> str:
+    """`u 0.6 to 1.1 m/s (1.83 times, 95 %: 1.7 to 2)`."""
+    low, high = error.ratio_ci95 or (np.nan, np.nan)
+    return (
+        f"{name} {error.before:.3g} to {error.after:.3g} {_UNITS[name]} ({error.ratio:.3g} times, 95 %: "
+        f"{low:.3g} to {high:.3g})"
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,6 +210,15 @@ class Weighed:
     saved_chi2: float  # over all windows, after refitting everything else
     parameters: dict[str, float]
     since: float | None = None  # where it was weighed from a beginning on [s]
+    since_log: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Dropped:
+    """What was found on the way and taken out again, and a sentence that says why."""
+
+    label: str
+    reason: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,12 +234,13 @@ class Recalibrated:
 
 @dataclasses.dataclass(frozen=True)
 class Predictions:
-    """Open-loop predictions on the test log, for the pictures.
+    """Open-loop predictions on a test log.
 
     - `times` [starts, steps]: log time [s] of each step after a start; the prediction begins at `begin`
       (an index along steps): what lies before it is where the start state was estimated.
     - `measured`, `before`, `after` [starts, steps, 18]: in the order of `_types.CHANNELS`; NaN where not
       measured. `noise` [18]: standard deviation per channel, NaN where not measured.
+    - `log`: the name of the test log.
     """
 
     times: Float[np.ndarray, "starts steps"]
@@ -140,6 +249,7 @@ class Predictions:
     before: Float[np.ndarray, "starts steps 18"]
     after: Float[np.ndarray, "starts steps 18"]
     noise: Float[np.ndarray, "18"]
+    log: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,12 +277,15 @@ class Diagnosis:
     - `depends_on`: signals that the residual depends on after the named findings and before any learned
       term; `white`: nothing but sensor noise is left.
     - `catalogue`: the effects that were suspected.
+    - `tests`: the names of the logs on which the gain is measured; `predictions`: those on the longest.
     - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
     - `contradicted`: a sentence where sensors contradict one another, whatever forces act.
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
     - `rejected`: stretches of the logs that were left out, with the reason.
+    - `dropped`: what was found on the way and does not stand in the answer.
+    - `clocks`: what the clock of each log shows at its start [s] (`Log.clock`).
     """
 
     verdict: Verdict
@@ -193,10 +306,35 @@ class Diagnosis:
     catalogue: tuple[type[AbstractEffect], ...]
     check: Check
     train: tuple[str, ...]
-    test: str
+    tests: tuple[str, ...]
     contradicted: str | None = None
     notes: tuple[str, ...] = ()
     rejected: tuple[Rejected, ...] = ()
+    dropped: tuple[Dropped, ...] = ()
+    clocks: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def test(self) -> str:
+        """The test log's name, or the names of all of them."""
+        return together(self.tests)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What stands before any praise: what is predicted worse than before, and a gain that says little."""
+        out = []
+        if self.gain.worse:
+            told = ", ".join(_grown(name, one) for name, one in self.gain.worse.items())
+            out.append(f"Predicted worse than by the vehicle file on {self.test}, for certain: {told}.")
+        if not self.gain.sound:
+            out.append(
+                f"The gain could not be measured well on {self.test}: at too many starts of a prediction "
+                "neither the vehicle file nor the extended vehicle meets the log; their errors say little."
+            )
+        return tuple(out)
+
+    def clock_of(self, one: "Finding | Weighed") -> float:
+        """What the clock of the log in which it begins shows at that log's start [s]."""
+        return self.clocks.get(one.since_log or self.train[0], 0.0)
 
     @property
     def far(self) -> bool:
@@ -222,9 +360,6 @@ class Diagnosis:
     def to_json(self) -> dict:
         """The content of `diagnosis.json` (schema 1)."""
 
-        def pair(value: BeforeAfter | None):
-            return None if value is None else dataclasses.asdict(value)
-
         def finding(f: Finding) -> dict:
             out = dataclasses.asdict(f)
             out["alternatives"] = list(out["alternatives"])
@@ -238,17 +373,11 @@ class Diagnosis:
             "schema": 1,
             "verdict": self.verdict,
             "findings": [finding(f) for f in self.findings],
-            "gain": {
-                "horizon_s": self.gain.horizon,
-                "position_rmse_m": pair(self.gain.position),
-                "velocity_rmse_m_s": pair(self.gain.velocity),
-                "ratio": self.gain.ratio,
-                "ratio_ci95": self.gain.ratio_ci95 and list(self.gain.ratio_ci95),
-                "held_out": self.gain.held_out,
-            },
+            "gain": self.gain.to_json(),
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
             "recalibrated": [dataclasses.asdict(one) for one in self.recalibrated],
             "rejected": [dataclasses.asdict(one) for one in self.rejected],
+            "dropped": [dataclasses.asdict(one) for one in self.dropped],
             "notes": list(self.notes),
             "excitation": [
                 {

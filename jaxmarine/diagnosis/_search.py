@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .._progress import FOUND, Progress, silent
+from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
 from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
@@ -28,7 +28,7 @@ NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
 EARLIEST = 3
 # Findings in one diagnosis at most; a model that needs more is wrong in another way.
-MOST = 6
+MOST = MOST_ROUNDS
 # Nats of evidence beyond the look-elsewhere correction that a finding needs.
 MARGIN = 12.0
 # A finding must save this many standard errors (over windows) of chi-square.
@@ -342,7 +342,7 @@ def search(
     while len(model.members) < MOST:
 
         def tell(words: str, which: int = len(rounds) + 1) -> None:
-            progress(f"round {which}: {words}")
+            progress(in_round(which, MOST, words))
 
         trials = weigh(bench, model, stats, tell) if bench.sound(model) else []
         decided = _decided(bench, model, stats, trials)

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ._coefficients import settle
+from ._dropped import HARMFUL, REPLACED, gone, needless
 from ._model import Beginning, Model, Workbench
+from ._result import Dropped
 from ._search import (
     FEW_STEPS,
     ROUGH,
@@ -98,19 +100,23 @@ def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     return model
 
 
-def settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, ...]]:
+def settled(bench: Workbench, found: Found) -> tuple[Model, bool, tuple[Round, ...], tuple[Dropped, ...]]:
     """What the search found, without what is not needed, and whether the whole file was recalibrated.
 
-    And all that was weighed, in the search and in the place of single coefficients.
+    And all that was weighed, in the search and in the place of single coefficients, and what was dropped.
     """
     phi, model = dispersion(bench, found.model, found.stats), pruned(bench, found.model)
+    dropped = needless(bench, found.model, model)
     held = found.held if model is found.model else beside_file(bench, model, phi)
     model, dense, more = settle(bench, model, held, phi)
     model = _beginnings_refined(bench, model)
     phi = dispersion(bench, model, bench.screen(model))
     rounds = found.rounds + more
-    model = pruned(bench, _reweighed(bench, model, rounds, phi))
-    return _without_harm(bench, model, dense), dense, rounds
+    weighed = _reweighed(bench, model, rounds, phi)
+    left = pruned(bench, weighed)
+    harmless = _without_harm(bench, left, dense)
+    dropped += gone(bench, model, weighed, REPLACED) + needless(bench, weighed, left)
+    return harmless, dense, rounds, dropped + gone(bench, left, harmless, HARMFUL)
 
 
 def _without_harm(bench: Workbench, model: Model, dense: bool) -> Model:

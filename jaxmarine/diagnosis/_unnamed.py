@@ -5,15 +5,17 @@ import functools
 
 import numpy as np
 
-from .._progress import Progress
+from .._progress import LOOKING, Progress
 from .._types import RATE, VELOCITY
 from ..logs import smooth_states
 from ..simulation import initial_state, simulate
 from ..vehicle import Vehicle
 from ._answer import extended_by, wrong_by
 from ._couplings import couplings
+from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
 from ._model import Model, Workbench
+from ._result import Dropped
 from ._settle import pruned
 from ._signals import Signals
 from ._unknown import Dependence, cost_of_removal, dependences, explained, size_only
@@ -35,11 +37,13 @@ class Answer:
     """What the logs are explained by: a judged model and unknown dependences.
 
     - `dense`: the file's coefficients were recalibrated.
+    - `dropped`: what was found on the way and does not stand in it.
     """
 
     judged: Judged
     unknown: tuple[Dependence, ...]
     dense: bool
+    dropped: tuple[Dropped, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -53,21 +57,23 @@ class Answer:
 
 def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress) -> Answer:
     """What the residual depends on, and the model without members that only stood in for that."""
+    dropped: tuple[Dropped, ...] = ()
     while not now.white:
-        progress("looking for what the residual depends on")
+        progress(LOOKING)
         vehicle = extended_by(bench, now.model, dense)
         unknown = _dependences(bench, now, vehicle)
         if not (unknown or now.model.members or dense):
             unknown = size_only(now.knots, now.phi, _undisturbed(bench, vehicle), bench.freedom)
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
-            return Answer(now, unknown, dense)
-        now = judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+            return Answer(now, unknown, dense, dropped)
+        whole, now = now.model, judged(bench, bench.refine(bench.without_member(now.model, spurious)))
         # What was found beside a stand-in may have mended what that spoilt.
         model = pruned(bench, now.model)
+        dropped += gone(bench, whole, now.model, STOOD_IN) + needless(bench, now.model, model)
         if model is not now.model:
             now = judged(bench, model)
-    return Answer(now, (), dense)
+    return Answer(now, (), dense, dropped)
 
 
 def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:

@@ -10,10 +10,10 @@ from .._precision import need_double
 from ..effects import CATALOGUE, AbstractEffect
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
-from ._gain import HORIZON, LEAST, OF_STARTS, RUN_IN, Candidate, gain, predictions
+from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
 from ._model import Beginning, Member, Model, Workbench, filled
 from ._prepare import opened_with
-from ._result import Gain
+from ._result import Gain, Predictions
 
 # Share of the error that names must not leave: those that do bought nothing.
 NOTHING = 0.95
@@ -23,11 +23,11 @@ NOTHING = 0.95
 def gain_of(
     vehicle: Vehicle,
     train: Sequence[Log] | Log,
-    test: Log,
+    test: Sequence[Log] | Log,
     causes: Sequence[Placed],
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
 ) -> Gain:
-    """What given causes buy on the test log, refitted from their values: what naming them is worth.
+    """What given causes buy on the test logs, refitted from their values: what naming them is worth.
 
     As `diagnose` measures it, without a search. Raises what that raises, and `InputError` where the catalogue
     lacks a cause or one begins in a log that is not given.
@@ -48,7 +48,7 @@ def gain_of(
                 )
             since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
-    return measured_gain(bench, bench.fitted(model), bool(causes), (), opened.test)[0]
+    return measured_gain(bench, bench.fitted(model), bool(causes), (), opened.tests)[0]
 
 
 def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:
@@ -74,8 +74,21 @@ def buys_nothing(gain: Gain) -> bool:
     return gain.held_out and gain.ratio > NOTHING and low <= 1.0 <= high
 
 
-def measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], test: Log):
-    """The gain on the test log of the model and of terms that were learned; `changed`: beside the file."""
+def measured_gain(
+    bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], test: Sequence[Log] | Log
+) -> tuple[Gain, Predictions]:
+    """The gain on the test logs of the model and of terms that were learned; `changed`: beside the file."""
+    tests = (test,) if isinstance(test, Log) else tuple(test)
+    # Equally far apart in all logs, so that each counts by how long it is.
+    stride = max(stride_of(log, run_in_of(log, bench.data.length)) for log in tests)
+    predicted = [_predicted(bench, model, changed, terms, log, stride) for log in tests]
+    return gain(predicted, bench.own_noise, [bench.twin(log) is None for log in tests])
+
+
+def _predicted(
+    bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], test: Log, stride: float
+) -> Predictions:
+    """Of one test log, by the file and by the model."""
     stretches = bench.stretches(model.members, test)
     gates = filled(stretches.gates)
     neutral = np.tile(bench.layout.neutral, (len(gates), 1))
@@ -85,16 +98,17 @@ def measured_gain(bench: Workbench, model: Model, changed: bool, terms: Sequence
         gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)
         theta, phases = bench.theta(model, stretches), bench.phases(model.members)
         candidates.append(Candidate(vehicle, bench.families, theta, gates, phases))
-    run_in = min(bench.data.length, max(RUN_IN, test.duration - HORIZON - OF_STARTS))
     times, predicted, measured, begin = predictions(
         candidates,
         test,
         bench.noise,
-        run_in,
+        run_in_of(test, bench.data.length),
         bench.data.hold / bench.split,
         stretches.of_samples[0],
         bench.room,
         bench.slots(0),
+        stride,
     )
-    held_out = bench.twin(test) is None
-    return gain(times, predicted[0], predicted[-1], measured, begin, bench.noise, held_out)
+    seen = np.isfinite(measured).any((0, 1))
+    noise = np.where(seen, bench.noise, np.nan)
+    return Predictions(times, begin, measured, predicted[0], predicted[-1], noise, test.name)

@@ -78,8 +78,8 @@ def clock_offset(log: Log, track: StateTrack, drive: Driven) -> ClockOffset | No
 
 
 def told(offset: ClockOffset) -> str:
-    """A sentence on an offset between the clocks."""
-    size = f"{abs(offset.seconds):.2f} ± {offset.std:.2f} s"
+    """A sentence on an offset between the clocks; its `size` and `std` [s] are for `str.format`."""
+    size = "{size:.2f} ± {std:.2f} s"
     if offset.seconds > 0:
         return (
             f"the motion follows the commands {size} later than the vehicle file says: a delay or lag, or "

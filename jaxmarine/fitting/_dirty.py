@@ -5,12 +5,13 @@ disturbance that goes on and what a wrong vehicle file misses everywhere are for
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
-from ..logs import Log, Reason, Rejected, StateTrack
+from ..logs import Log, Note, Reason, Rejected, StateTrack, moment
 from ..vehicle import Vehicle
 from ._driven import HALF, Driven
 
@@ -71,10 +72,17 @@ def without_accidents(vehicle: Vehicle, log: Log, track: StateTrack, drive: Driv
             or len(spans) > most * log.duration / 60
             or sum(lasts) > share * log.duration
         ):
+            alike = "{lasts:.3g} s of {duration:.3g} s look like " + f"{reason} ({_WORDS[reason]})"
+            first = moment(spans[0][0], log.clock, ".1f")
+            kept = "that is too much for an accident, and nothing is left out."
             notes.append(
-                f"{log.name}: {sum(lasts):.3g} s of {log.duration:.3g} s look like {reason} "
-                f"({_WORDS[reason]}), the first from t = {spans[0][0]:.1f} s; that is too much for an "
-                "accident, and nothing is left out."
+                Note.of(
+                    log.name,
+                    f"{{log}}: {alike}, the first from {first}; {kept}",
+                    f"{{logs}}: {alike}; {kept}",
+                    lasts=sum(lasts),
+                    duration=log.duration,
+                )
             )
             continue
         rejected += [Rejected(log.name, start, end, reason) for start, end in spans]
@@ -84,11 +92,26 @@ def without_accidents(vehicle: Vehicle, log: Log, track: StateTrack, drive: Driv
     channels = log.channels.copy()
     for one in rejected:
         channels[(log.t >= one.start) & (log.t <= one.end)] = np.nan
-        notes.append(
-            f"{log.name}: t = {one.start:.1f} s to {one.end:.1f} s is left out ({one.reason}: "
-            f"{_WORDS[one.reason]})."
-        )
+    notes += [
+        _told(log, reason, [one for one in rejected if one.reason == reason])
+        for reason in dict.fromkeys(one.reason for one in rejected)
+    ]
     return dataclasses.replace(log, channels=channels, notes=(*log.notes, *notes), rejected=tuple(rejected))
+
+
+def _told(log: Log, reason: Reason, stretches: Sequence[Rejected]) -> Note:
+    """A sentence on all stretches that are left out for one reason."""
+    verb = "is" if len(stretches) == 1 else "are"
+    when = ", ".join(
+        f"{moment(one.start, log.clock, '.1f')} to {moment(one.end, log.clock, '.1f').removeprefix('t = ')}"
+        for one in stretches
+    )
+    return Note.of(
+        log.name,
+        f"{{log}}: {when} {verb} left out ({reason}: {_WORDS[reason]}).",
+        f"{{logs}}: {{count}} stretches each are left out ({reason}: {_WORDS[reason]}).",
+        count=len(stretches),
+    )
 
 
 def _able(drive: Driven) -> Float[np.ndarray, "6"]:

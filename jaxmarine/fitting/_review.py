@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._types import DOFS
-from ..logs import Log, doubtful_noise, smooth_states
+from ..logs import Log, Note, doubtful_noise, merged, smooth_states
 from ..vehicle import Vehicle
 from ._clock import clock_offset, told
 from ._dirty import without_accidents
@@ -26,7 +26,7 @@ def reviewed(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tu
     """
     after = tuple(_reviewed(vehicle, log) for log in logs)
     added = (note for old, new in zip(logs, after, strict=True) for note in new.notes[len(old.notes) :])
-    return after, tuple(dict.fromkeys((*_pushing(vehicle), *added)))
+    return after, merged((*_pushing(vehicle), *added))
 
 
 def _pushing(vehicle: Vehicle) -> list[str]:
@@ -43,13 +43,16 @@ def _pushing(vehicle: Vehicle) -> list[str]:
 
 
 def _reviewed(vehicle: Vehicle, log: Log) -> Log:
-    said = doubtful_noise(log, dict(vehicle.sensors))
+    said: list[str] = [*doubtful_noise(log, dict(vehicle.sensors))]
     if log.duration >= _LEAST and log.dt <= 2 * HALF and not log.rejected:
         track = smooth_states(log, vehicle.dof)
         drive = driven(vehicle, log, track)
         log = without_accidents(vehicle, log, track, drive)
         offset = clock_offset(log, track, drive)
         if offset is not None and offset.significant:
-            said.append(f"{log.name}: {told(offset)}")
+            words, size = told(offset), abs(offset.seconds)
+            said.append(
+                Note.of(log.name, f"{{log}}: {words}", f"{{logs}}: {words}", size=size, std=offset.std)
+            )
     said = [note for note in said if note not in log.notes]
     return dataclasses.replace(log, notes=(*log.notes, *said)) if said else log

@@ -17,6 +17,10 @@ from ._noise import doubtful_noise as doubtful_noise
 from ._noise import estimate_noise as estimate_noise
 from ._noise import resolution as resolution
 from ._noise import sensor_noise as sensor_noise
+from ._notes import Note as Note
+from ._notes import merged as merged
+from ._notes import moment as moment
+from ._notes import together as together
 from ._read import read_log as read_log
 from ._read import write_log as write_log
 from ._states import StateTrack as StateTrack

@@ -13,6 +13,7 @@ from .._angles import wrap_to_pi
 from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNELS
 from ._log import Log
 from ._noise import command_jumps, resolution
+from ._notes import Note, moment
 
 # Fewer samples than this do not show what is usual in a channel.
 _FEWEST = 50
@@ -68,11 +69,18 @@ def clean(log: Log) -> Log:
         for kind, (where, _) in found.items():
             if not many:
                 channels[where, index] = np.nan
-                notes.append(_note(log.name, name, kind, log.t[where], count))
+                notes.append(_note(log, name, kind, log.t[where], count))
             elif kind in many:
+                too_many = f"look like {kind}, which are too many for that; the channel is left as it is."
                 notes.append(
-                    f"{log.name}: {np.count_nonzero(where)} of {count} samples of `{name}` look like {kind}, "
-                    "which are too many for that; the channel is left as it is."
+                    Note.of(
+                        log.name,
+                        "{log}: {found} of {count} samples of {channel} " + too_many,
+                        "{found} of {count} samples each of {places} " + too_many,
+                        name,
+                        found=int(np.count_nonzero(where)),
+                        count=count,
+                    )
                 )
     notes = [note for note in (*notes, *_rounding(log)) if note not in log.notes]
     if not notes:
@@ -80,14 +88,15 @@ def clean(log: Log) -> Log:
     return dataclasses.replace(log, channels=channels, notes=(*log.notes, *notes))
 
 
-def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[str]]:
+def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[Note]]:
     """The channels without rows that only repeat an older sample, and a note on those.
 
     Where a value commonly changes every so many rows only, it comes from a sensor so many times slower than
     the log: what stands in between is old by up to that time. Where it lasts for more than two such times, as
     at rest, a sample counts for each of them.
     """
-    channels, slow = log.channels.copy(), dict[int, list[str]]()
+    channels, notes = log.channels.copy(), []
+    late = "{every:.2g} s, and rows in between repeat what is old by then; each sample counts once."
     for index, name in enumerate(CHANNELS):
         seen = np.flatnonzero(np.isfinite(log.channels[:, index]))
         values = log.channels[seen, index]
@@ -101,25 +110,37 @@ def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[str]
         since, lasts = np.arange(len(values)) - np.repeat(first, rows), np.repeat(rows, rows)
         measured = (since == 0) | ((since % period == 0) & (lasts > 2 * period))
         channels[seen[~measured], index] = np.nan
-        slow.setdefault(period, []).append(name)
-    notes = [
-        f"{log.name}: {', '.join(f'`{name}`' for name in names)} come{'s' if len(names) == 1 else ''} every "
-        f"{period * log.dt:.2g} s, and rows in between repeat what is old by then; each sample counts once."
-        for period, names in slow.items()
-    ]
+        notes.append(
+            Note.of(
+                log.name,
+                "{log}: {channel} comes every " + late,
+                "{places} come every " + late,
+                name,
+                every=period * log.dt,
+            )
+        )
     return channels, notes
 
 
-def _note(log: str, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> str:
-    when = f"at t = {t[0]:.6g} s" if len(t) == 1 else f"between t = {t[0]:.6g} s and {t[-1]:.6g} s"
-    what = {
+def _note(log: Log, name: str, kind: str, t: Float[np.ndarray, " defects"], count: int) -> Note:
+    first, last = moment(t[0], log.clock), moment(t[-1], log.clock)
+    when = f"at {first}" if len(t) == 1 else f"between {first} and {last.removeprefix('t = ')}"
+    done = {
         "spikes": "leave their neighbours and come back as no vehicle does",
         "dropouts": "hold a value that otherwise changes with every sample",
     }[kind]
-    return f"{log}: {len(t)} of {count} samples of `{name}`, {when}, {what} ({kind}); they count as missing."
+    what = f"{done} ({kind}); they count as missing."
+    return Note.of(
+        log.name,
+        f"{{log}}: {{found}} of {{count}} samples of {{channel}}, {when}, {what}",
+        f"{{found}} of {{count}} samples each of {{places}} {what}",
+        name,
+        found=len(t),
+        count=count,
+    )
 
 
-def _rounding(log: Log) -> list[str]:
+def _rounding(log: Log) -> list[Note]:
     """A note on each channel of which the steps are coarser than its noise."""
     notes = []
     for index, name in enumerate(CHANNELS):
@@ -132,9 +153,19 @@ def _rounding(log: Log) -> list[str]:
         levels = (np.unique(values) - values.min()) / step
         even = np.allclose(levels, np.round(levels), rtol=0, atol=1e-3)
         if even and len(levels) > 2 and np.median(np.abs(np.diff(values))) < 1.5 * step:
+            steps = (
+                "comes in steps of {step:.3g}; where its noise is not stated, it is taken for at least "
+                "{noise:.2g}."
+            )
             notes.append(
-                f"{log.name}: `{name}` comes in steps of {step:.3g}; where its noise is not stated, it is "
-                f"taken for at least {step / np.sqrt(12):.2g}."
+                Note.of(
+                    log.name,
+                    "{log}: {channel} " + steps,
+                    "Each of {places} " + steps,
+                    name,
+                    step=step,
+                    noise=step / np.sqrt(12),
+                )
             )
     return notes
 

@@ -71,6 +71,11 @@ class Log(eqx.Module):
         return float(self.t[-1] - self.t[0])
 
     @property
+    def clock(self) -> float:
+        """What the log's own clock shows at its start [s]; 0 where that is within a sample of zero."""
+        return float(self.t[0]) if abs(self.t[0]) > 1.001 * self.dt else 0.0
+
+    @property
     def dt(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t)))

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNEL_UNITS, CHANNELS, SENSORS
 from ._log import Log
+from ._notes import Note
 
 # Samples per divided difference: lines, cubics and quintics through the neighbours. The short one
 # crosses few jumps, the long one follows fast motion; both can only err upwards.
@@ -36,7 +37,7 @@ def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) ->
     return noise
 
 
-def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[str]:
+def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[Note]:
     """Sentences on sensors whose noise is not what the vehicle file states, by far more than chance."""
     notes = []
     estimated = estimate_noise(log)
@@ -47,11 +48,12 @@ def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[str]:
         noise = float(np.nanmedian(found))
         if not 1 / _DOUBTFUL < noise / stated < _DOUBTFUL:
             unit = CHANNEL_UNITS[SENSORS[kind][0]]
-            notes.append(
-                f"{log.name}: the samples of {kind} scatter by about {noise:.2g} {unit}, but the vehicle "
-                f"file states a noise of {stated:.2g} {unit}, which is used; correct it under [sensors], or "
-                "leave it out there to have it estimated."
+            said = (
+                f"the samples of {kind} scatter by about {{noise:.2g}} {unit}, but the vehicle file states a "
+                f"noise of {stated:.2g} {unit}, which is used; correct it under [sensors], or leave it out "
+                "there to have it estimated."
             )
+            notes.append(Note.of(log.name, "{log}: " + said, "{logs}: " + said, noise=noise))
     return notes
 
 

@@ -15,6 +15,7 @@ from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
 from ._mapped import MappedFile, from_start, open_mapped
+from ._notes import Note
 from ._table import write_table
 
 # Fewer samples than this hold no window that could be compared with a simulation.
@@ -53,14 +54,15 @@ def read_log(
     _check_motion(file, channels, vehicle.dof)
     commands, wrench = _drive(file, vehicle)
     file.note_ignored()
+    name = "DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name
     log = Log(
         t=t,
         channels=channels,
         commands=commands,
         wrench=wrench,
         command_names=tuple(vehicle.command_names),
-        name="DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name,
-        notes=tuple(file.notes),
+        name=name,
+        notes=tuple(Note.on(name, sentence) for sentence in file.notes),
     )
     return clean(log)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from .._types import DOFS
 from ..diagnosis import Finding
+from ..logs import moment
 from ..vehicle import Vehicle
 from ._curves import CHANNEL_TITLES
 from ._numbers import joined, number, percent, plus_minus, sentence, unit_on
@@ -372,12 +373,15 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
 }
 
 
-def what(finding: Finding, vehicle: Vehicle) -> str:
-    """The finding in one sentence, with its numbers and since when it holds."""
+def what(finding: Finding, vehicle: Vehicle, clock: float = 0.0) -> str:
+    """The finding in one sentence, with its numbers and since when it holds.
+
+    - `clock`: what the clock of the log in which it begins shows at that log's start [s].
+    """
     told = _SENTENCES.get(finding.effect)
     # Without a sentence of its own: an effect that a user has added to the catalogue.
     text = told(finding, vehicle) if told else f"{title(finding.label)} ({_listed(finding)})"
     if finding.since is not None:
-        text += f", since t = {number(finding.since, 4)} s"
+        text += f", since {moment(finding.since, clock)}"
         text += f" of `{finding.since_log}`" if finding.since_log else ""
     return sentence(text)

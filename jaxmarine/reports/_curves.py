@@ -21,6 +21,7 @@ from .._types import (
     WRENCH,
 )
 from ..diagnosis import Diagnosis, MissingWrench, Predictions, Weighed
+from ..logs import moment
 
 GROUP_TITLES = {
     "position": "Position",
@@ -58,7 +59,7 @@ CHANNEL_TITLES: dict[str, str] = dict(
 )
 _UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
 _DEGREES = 180.0 / np.pi
-_STEPS = 200  # that are drawn of one prediction
+_STEPS = 150  # that are drawn of one prediction
 _STARTS = 3  # of predictions that are drawn
 
 
@@ -192,16 +193,19 @@ def _mean(values: np.ndarray) -> float:
 class Course:
     """One prediction: `measured`, `before` and `after`, all 18 channels in shown units.
 
-    `ahead` [s] counts from where the prediction begins; `begin` is that moment in the log's time.
+    `ahead` [s] counts from where the prediction begins; `start` is that moment of the log in words.
     """
 
-    begin: float
+    start: str
     ahead: Float[np.ndarray, " steps"]
     curves: dict[str, Float[np.ndarray, "steps 18"]]
 
 
-def course(predictions: Predictions, start: int) -> Course:
-    """The prediction from one start; angles without jumps, the three curves on the same turn."""
+def course(predictions: Predictions, start: int, clock: float = 0.0) -> Course:
+    """The prediction from one start; angles without jumps, the three curves on the same turn.
+
+    - `clock`: what the log's own clock shows at its start [s].
+    """
     times = predictions.times[start]
     begin = float(times[predictions.begin])
     before = finite(predictions.before[start])
@@ -215,7 +219,7 @@ def course(predictions: Predictions, start: int) -> Course:
     curves = {"measured": measured, "before": smooth, "after": after}
     kept = thinned(times.size, _STEPS)
     shown = {name: curve[kept] * SCALES for name, curve in curves.items()}
-    return Course(begin, times[kept] - begin, shown)
+    return Course(moment(begin, clock, ".4g"), times[kept] - begin, shown)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -253,6 +257,12 @@ def known(missing: MissingWrench, axis: int, log: int | None = None) -> Bool[np.
     """Where the missing wrench of that axis is known (in that log, where one is named)."""
     there = np.isfinite(missing.wrench[:, axis]) & np.isfinite(missing.t)
     return there if log is None else there & (missing.log == log)
+
+
+def tested(diagnosis: Diagnosis) -> str:
+    """The test log that figures show, in words."""
+    several = len(diagnosis.tests) > 1
+    return f"the longest test log, {diagnosis.predictions.log}" if several else "the test log"
 
 
 def compared(diagnosis: Diagnosis) -> tuple[str, ...]:

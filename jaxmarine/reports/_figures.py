@@ -1,15 +1,12 @@
-"""The interactive figures of the page: small plotly panels, laid out by the page in a grid.
+"""The figures of the page: small panels, laid out by the page in a grid.
 
-One panel is one plotly figure, so that a narrow screen stacks them. A chart with several sheets
-shows one at a time. Text colours and grids come from the page, which knows whether it is light or
-dark.
+One panel is one plot, so that a narrow screen stacks them. A chart with several sheets shows one at a time.
+All colours come from the page, which knows whether it is light or dark.
 """
 
 import dataclasses
-import html
 
 import numpy as np
-import plotly.graph_objects as go
 
 from .._types import CHANNELS
 from ..diagnosis import Diagnosis, MissingWrench
@@ -29,27 +26,25 @@ from ._curves import (
     measured_channels,
     shown_unit,
     telling_channel,
+    tested,
     thinned,
     typical_starts,
 )
 from ._numbers import count, joined, number
+from ._svg import Plot
 
-# Orange and blue differ for every kind of colour vision, and both hold on white and on black.
-_COLOURS = {"before": "#d97706", "after": "#2f86d6"}
-_BANDS = {"before": "rgba(217,119,6,0.20)", "after": "rgba(47,134,214,0.22)"}
-_QUIET = "#7d8590"
-_MARK = {"dash": "dot", "width": 1.5, "color": _QUIET}
-_POINTS = 1000  # per trace, which is more than a panel has pixels
+# Of a curve, which is about what a panel has pixels; of all logs together, of which one is seen at a time.
+_POINTS, _POINTS_OF_ALL = 400, 1000
 
 
 @dataclasses.dataclass(frozen=True)
 class Panel:
-    """One plotly figure with its heading and a description for those who cannot see it."""
+    """One plot with its heading and a description for those who cannot see it."""
 
     key: str
     title: str
     description: str
-    figure: go.Figure
+    figure: Plot
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,14 +77,15 @@ def error_chart(diagnosis: Diagnosis) -> Chart | None:
     groups = errors_by_horizon(diagnosis.predictions)
     if not groups:
         return None
+    log = tested(diagnosis)
     caption = (
-        "The model is started from the test log and then left alone with the commands. See how far "
+        f"The model is started from {log} and then left alone with the commands. See how far "
         "it drifts off: the blue line (extended vehicle) should stay near the dashed noise level, "
         "where the orange one (vehicle file) climbs. Errors are per axis, averaged over the axes."
     )
     if len(shown) == 1:
         caption = (
-            "The model is started from the test log and then left alone with the commands. Its "
+            f"The model is started from {log} and then left alone with the commands. Its "
             "error should stay near the dashed noise level. Errors are per axis, averaged over the axes."
         )
     return Chart(
@@ -102,13 +98,12 @@ def error_chart(diagnosis: Diagnosis) -> Chart | None:
 
 
 def _error(group: GroupError, i: int, shown: tuple[str, ...]) -> Panel:
-    figure = _figure("prediction horizon [s]", f"rms error [{group.unit}]")
+    figure = Plot("prediction horizon [s]", f"rms error [{group.unit}]", from_zero=True)
     ends = group.horizon[[0, -1]]
     if np.isfinite(group.noise):
-        _add_line(figure, "noise", ends, np.full(2, group.noise), _QUIET, dash="dash", width=1.5)
+        figure.line("noise", ends, np.full(2, group.noise))
     for name in shown:
-        _add_line(figure, name, group.horizon, group.errors[name], _COLOURS[name])
-    figure.update_yaxes(rangemode="tozero")
+        figure.line(name, group.horizon, group.errors[name])
     last = joined([f"{number(group.errors[name][-1])} {group.unit} {name}" for name in shown])
     description = (
         f"{group.title} error after {number(ends[1])} s of prediction: {last}; "
@@ -156,19 +151,22 @@ def _lack(missing: MissingWrench, log: int) -> float:
 
 
 def _missing_over_time(diagnosis: Diagnosis, axis: Axis, log: int) -> Panel | None:
-    figure = _figure("time in the log [s]", f"{axis.symbol} [{axis.unit}]")
-    limit = max(100, _POINTS // len(diagnosis.train))
+    figure = Plot("time since the log's start [s]", f"{axis.symbol} [{axis.unit}]")
+    limit = min(_POINTS, max(100, _POINTS_OF_ALL // len(diagnosis.train)))
+    clock = diagnosis.clocks.get(diagnosis.train[log], 0.0)
     for name, missing in lacking(diagnosis).items():
         there = np.flatnonzero(known(missing, axis.index, log))
         there = there[np.argsort(missing.t[there], kind="stable")]
         there = there[thinned(there.size, limit)]
         if there.size:
             std = np.nan_to_num(finite(missing.std[there, axis.index]))
-            _add_band(figure, name, missing.t[there], missing.wrench[there, axis.index], 2 * std)
-    if not figure.data:
+            t, wrench = missing.t[there] - clock, finite(missing.wrench[there, axis.index])
+            figure.band(name, t, wrench - 2 * std, wrench + 2 * std)
+            figure.line(name, t, wrench)
+    if figure.empty:
         return None
     for since in beginnings(diagnosis, log):
-        figure.add_vline(x=since, line=_MARK)
+        figure.mark(since - clock)
     description = f"{axis.title} that the model lacks over the time of {diagnosis.train[log]}."
     return Panel(f"missing-{log}-{axis.index}", axis.title, description, figure)
 
@@ -196,20 +194,14 @@ def missing_velocity_chart(diagnosis: Diagnosis) -> Chart | None:
 
 
 def _missing_over_velocity(diagnosis: Diagnosis, axis: Axis) -> Panel | None:
-    figure = _figure(axis.velocity_title, f"{axis.symbol} [{axis.unit}]")
+    figure = Plot(axis.velocity_title, f"{axis.symbol} [{axis.unit}]")
     for name, missing in lacking(diagnosis).items():
         velocity = finite(missing.velocity[:, axis.index]) * axis.velocity_scale
         there = np.flatnonzero(known(missing, axis.index) & np.isfinite(velocity))
         there = there[thinned(there.size, _POINTS)]
         if there.size:
-            figure.add_scatter(
-                x=_short(velocity[there]),
-                y=_short(missing.wrench[there, axis.index]),
-                mode="markers",
-                marker={"color": _COLOURS[name], "size": 5, "opacity": 0.55},
-                name=name,
-            )
-    if not figure.data:
+            figure.points(name, velocity[there], finite(missing.wrench[there, axis.index]))
+    if figure.empty:
         return None
     description = f"{axis.title} that the model lacks against {axis.velocity_title}."
     return Panel(f"missing-velocity-{axis.index}", axis.title, description, figure)
@@ -218,7 +210,8 @@ def _missing_over_velocity(diagnosis: Diagnosis, axis: Axis) -> Panel | None:
 def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
     """Typical predictions beside the log, one sheet per channel."""
     predictions = diagnosis.predictions
-    courses = tuple(course(predictions, start) for start in typical_starts(predictions))
+    clock = diagnosis.clocks.get(predictions.log, 0.0)
+    courses = tuple(course(predictions, start, clock) for start in typical_starts(predictions))
     chosen = telling_channel(predictions)
     if not courses or chosen is None:
         return None
@@ -238,8 +231,9 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
         title="Predicted and measured",
         caption=(
             f"{count(len(courses), 'prediction').capitalize()} with an error that is typical of "
-            f"all {len(predictions.times)} (the median before). Left of the dotted line lies the "
-            "data from which the start is estimated; right of it the model sees the commands only. "
+            f"all {len(predictions.times)} on {tested(diagnosis)} (the median before). Left of the dotted "
+            "line lies the data from which the start is estimated; right of it the model sees the commands "
+            "only. "
             f"{'Blue' if 'after' in shown else 'Orange'} should follow grey."
         ),
         legend=("measured", *shown),
@@ -251,97 +245,20 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
 
 def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel:
     column = CHANNELS.index(channel)
-    figure = _figure("time since the start [s]", f"{channel} [{shown_unit(channel)}]")
-    measured = c.curves["measured"][:, column]
-    _add_line(figure, "measured", c.ahead, measured, _QUIET, width=5.0, opacity=0.6)
-    for name in shown:
-        _add_line(figure, name, c.ahead, c.curves[name][:, column], _COLOURS[name])
+    figure = Plot("time since the start [s]", f"{channel} [{shown_unit(channel)}]")
+    for name in ("measured", *shown):
+        figure.line(name, c.ahead, c.curves[name][:, column])
     if c.ahead[0] < 0:
-        figure.add_vline(x=0.0, line=_MARK)
-    start = number(c.begin, 4)
-    description = f"{CHANNEL_TITLES[channel]}, predicted from t = {start} s, and measured."
-    return Panel(f"trajectory-{channel}-{i}", f"Start at t = {start} s", description, figure)
+        figure.mark(0.0)
+    description = f"{CHANNEL_TITLES[channel]}, predicted from {c.start}, and measured."
+    return Panel(f"trajectory-{channel}-{i}", f"Start at {c.start}", description, figure)
 
 
 def _track(c: Course, i: int, shown: tuple[str, ...]) -> Panel:
-    figure = _figure("east y [m]", "north x [m]")
+    figure = Plot("east y [m]", "north x [m]", equal=True)
     north, east = CHANNELS.index("x"), CHANNELS.index("y")
     track = {name: curve[c.ahead >= 0] for name, curve in c.curves.items()}
-    measured = track["measured"]
-    _add_line(figure, "measured", measured[:, east], measured[:, north], _QUIET, "solid", 5.0, 0.6)
-    for name in shown:
-        _add_line(figure, name, track[name][:, east], track[name][:, north], _COLOURS[name])
-    figure.update_yaxes(scaleanchor="x", scaleratio=1)
-    start = number(c.begin, 4)
-    description = f"Track seen from above, predicted from t = {start} s, and measured."
-    return Panel(f"trajectory-track-{i}", f"Start at t = {start} s", description, figure)
-
-
-def _add_line(
-    figure: go.Figure,
-    name: str,
-    x: np.ndarray,
-    y: np.ndarray,
-    colour: str,
-    dash: str = "solid",
-    width: float = 2.2,
-    opacity: float = 1.0,
-) -> None:
-    figure.add_scatter(
-        x=_short(x),
-        y=_short(y),
-        mode="lines",
-        line={"color": colour, "dash": dash, "width": width},
-        opacity=opacity,
-        name=name,
-    )
-
-
-def _add_band(figure: go.Figure, name: str, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> None:
-    """A line in the middle of a band."""
-    figure.add_scatter(
-        x=_short(np.concatenate([x, x[::-1]])),
-        y=_short(np.concatenate([y + half, (y - half)[::-1]])),
-        mode="lines",
-        fill="toself",
-        fillcolor=_BANDS[name],
-        line={"width": 0},
-        hoverinfo="skip",
-        name=f"{name} ± 2 std",
-    )
-    _add_line(figure, name, x, y, _COLOURS[name], width=1.6)
-
-
-def _short(values: np.ndarray) -> np.ndarray:
-    """Single precision where the eye cannot tell it: half the page."""
-    values = finite(values)
-    small = np.nanmax(np.abs(values), initial=0.0) < 1e4
-    return values.astype(np.float32) if small else values
-
-
-def _figure(x_title: str, y_title: str) -> go.Figure:
-    """An empty panel; titles are escaped, because plotly reads a little HTML in them."""
-    axis = {
-        "automargin": True,
-        "zeroline": True,
-        "showline": False,
-        "ticks": "outside",
-        "ticklen": 4,
-    }
-    return go.Figure(
-        layout={
-            "template": go.layout.Template(),
-            "xaxis": {
-                **axis,
-                "title": {"text": html.escape(x_title), "standoff": 8},
-                "zeroline": False,
-            },
-            "yaxis": {**axis, "title": {"text": html.escape(y_title), "standoff": 6}, "nticks": 6},
-            "margin": {"l": 8, "r": 10, "t": 8, "b": 8},
-            "height": 250,
-            "showlegend": False,
-            "hovermode": "closest",
-            "paper_bgcolor": "rgba(0,0,0,0)",
-            "plot_bgcolor": "rgba(0,0,0,0)",
-        }
-    )
+    for name in ("measured", *shown):
+        figure.line(name, track[name][:, east], track[name][:, north])
+    description = f"Track seen from above, predicted from {c.start}, and measured."
+    return Panel(f"trajectory-track-{i}", f"Start at {c.start}", description, figure)

@@ -2,25 +2,31 @@
 
 import dataclasses
 import importlib.metadata
-import json
 import math
 from pathlib import Path
-from typing import Any
 
 import jinja2
 import markupsafe
 import numpy as np
-from plotly.offline import get_plotlyjs
 
 from .._types import CHANNEL_UNITS, CHANNELS, DOFS, SENSORS
 from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from ..fitting import AxisCheck, sparkline
 from ..fitting import percent as relative
+from ..logs import moment
 from . import _words as words
 from ._causes import kind, title, what
-from ._curves import compared, leading, measured_channels, taken_suspects
+from ._curves import (
+    CHANNEL_TITLES,
+    GROUP_TITLES,
+    compared,
+    leading,
+    measured_channels,
+    shown_scale,
+    shown_unit,
+    taken_suspects,
+)
 from ._figures import (
-    Chart,
     error_chart,
     missing_time_chart,
     missing_velocity_chart,
@@ -51,7 +57,21 @@ class Row:
     evidence: str
     width: float
     taken: bool
+    dropped: bool
     remark: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Error:
+    """A line of the gain's table: a quantity or one of its channels; `worse` than before for certain."""
+
+    name: str
+    before: str
+    after: str
+    left: str
+    interval: str
+    channel: bool = False
+    worse: bool = False
 
 
 def page(diagnosis: Diagnosis) -> str:
@@ -64,6 +84,7 @@ def page(diagnosis: Diagnosis) -> str:
         lstrip_blocks=True,
     )
     environment.filters["marked"] = _marked
+    environment.filters["drawn"] = lambda plot: markupsafe.Markup(plot.svg())
     charts = {
         "error": error_chart(diagnosis),
         "missing": missing_time_chart(diagnosis),
@@ -78,7 +99,6 @@ def page(diagnosis: Diagnosis) -> str:
         cards=[_card(finding, diagnosis) for finding in diagnosis.findings],
         checked=_checked(diagnosis),
         charts=charts,
-        figures=_figures(charts),
         rounds=_rounds(diagnosis),
         parameters=[row for finding in diagnosis.findings for row in _parameters(finding)],
         groups=[
@@ -90,10 +110,13 @@ def page(diagnosis: Diagnosis) -> str:
         gain=words.gain_words(diagnosis),
         held_out=words.held_out(diagnosis),
         gains=_gains(diagnosis),
+        per_log=_per_log(diagnosis),
+        warnings=diagnosis.warnings,
+        notes=[note for note in diagnosis.notes if note not in diagnosis.warnings],
+        dropped=[(title(one.label), one.reason) for one in diagnosis.dropped],
         horizon=number(diagnosis.gain.horizon),
         told=[_told(axis) for axis in diagnosis.check.axes],
         done=_done(diagnosis),
-        plotly=markupsafe.Markup(get_plotlyjs()),
     )
 
 
@@ -108,25 +131,24 @@ def _marked(text: str) -> markupsafe.Markup:
     )
 
 
-def _figures(charts: dict[str, Chart | None]) -> dict[str, Any]:
-    """Data and layout of every panel, by its key."""
-    return {
-        panel.key: json.loads(str(panel.figure.to_json()))
-        for chart in charts.values()
-        if chart is not None
-        for sheet in chart.sheets
-        for panel in sheet.panels
-    }
-
-
 def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """The few numbers at the top: what, how much, explained."""
     gain = diagnosis.gain
     shown = compared(diagnosis)
     misfits = {"before": diagnosis.misfit_before, "after": diagnosis.misfit_after}
     named = sum(finding.named for finding in diagnosis.findings)
+    unknown = joined([finding.target or "" for finding in diagnosis.findings if not finding.named])
+    found = "found in the training logs"
+    if unknown:
+        found = (
+            f"besides, something unknown acts in {unknown}"
+            if named
+            else f"something unknown acts in {unknown}"
+        )
+    elif not named and diagnosis.dropped:
+        found = "what was found at first did not hold"
     return [
-        ("Named causes", str(named), "found in the training logs"),
+        ("Named causes", str(named) if named else "none", found),
         (
             "Chi-square per sample",
             " → ".join(number(misfits[name], 2) for name in shown),
@@ -136,7 +158,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             "Prediction error left",
             percent(gain.ratio),
             f"over {number(gain.horizon)} s, {'' if gain.held_out else 'not '}held out; "
-            "the log's own noise counts in it",
+            + (f"worse in {joined(list(gain.worse))}" if gain.worse else "the log's own noise counts in it"),
         ),
     ]
 
@@ -153,9 +175,9 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
         other = f"{other} {words.next_best(finding)}".strip()
     return Card(
         heading=title(finding.label),
-        what=what(finding, diagnosis.vehicle),
+        what=what(finding, diagnosis.vehicle, diagnosis.clock_of(finding)),
         advice=words.advice(finding, diagnosis.catalogue),
-        sure=words.sureness(finding.log_evidence)
+        sure=words.sureness(finding.log_evidence, "" if finding.named else "That something acts there")
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,
         deciding=words.deciding((finding.label, *rivals), diagnosis.catalogue) if rivals else "",
@@ -178,20 +200,26 @@ def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
         sizes = [s.log_evidence for s in shown if math.isfinite(s.log_evidence)]
         largest = max([*sizes, words.VERY_STRONG])
         if shown:
-            out.append((i, len(suspects), [_row(s, taken, largest, diagnosis) for s in shown]))
+            # The best of a round that was taken and does not stand in the answer.
+            gone = {one.label for one in diagnosis.dropped} if taken is None else set()
+            rows = [_row(s, taken, s is suspects[0] and s.label in gone, largest, diagnosis) for s in shown]
+            out.append((i, len(suspects), rows))
     return out
 
 
-def _row(suspect: Weighed, taken: Weighed | None, largest: float, diagnosis: Diagnosis) -> Row:
+def _row(suspect: Weighed, taken: Weighed | None, dropped: bool, largest: float, diagnosis: Diagnosis) -> Row:
     evidence = suspect.log_evidence
     part = evidence / largest if math.isfinite(evidence) else 0.0
     values = words.values(suspect.label, suspect.parameters, diagnosis.catalogue)
-    begins = "" if suspect.since is None else f", since {number(suspect.since)} s"
+    begins = ""
+    if suspect.since is not None:
+        begins = f", since {moment(suspect.since, diagnosis.clock_of(suspect), '.3g')}"
     return Row(
         title=title(suspect.label) + begins,
         evidence=number(evidence),
         width=round(100 * min(max(part, 0.0), 1.0), 1),
         taken=suspect is taken,
+        dropped=dropped,
         remark=values,
     )
 
@@ -225,26 +253,59 @@ def _recalibrated(entry: Recalibrated) -> tuple[str, str, str, str, str]:
     )
 
 
-def _gains(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """What, before, after, left."""
-    gain = diagnosis.gain
+def _gains(diagnosis: Diagnosis) -> list[Error]:
+    """Each quantity with its channels, and all together."""
+    gain, out = diagnosis.gain, []
+    for name, error in gain.quantities.items():
+        what = f"{GROUP_TITLES[name]} error (rms, all axes together)"
+        out.append(_error(what, error, SENSORS[name][0]))
+        out += [
+            _error(CHANNEL_TITLES[channel], gain.channels[channel], channel, channel=True)
+            for channel in SENSORS[name]
+            if channel in gain.channels
+        ]
+    ends = "–" if gain.ratio_ci95 is None else " to ".join(map(percent, gain.ratio_ci95))
+    left = percent(gain.ratio)
+    return [*out, Error("All channels, in units of noise", "100 %", left, left, ends)]
+
+
+def _error(name: str, error: BeforeAfter | None, channel_of: str, channel: bool = False) -> Error:
+    if error is None:
+        return Error(name, "not measured", "not measured", "–", "–")
+    unit, scale = shown_unit(channel_of), shown_scale(channel_of)
+    return Error(
+        name,
+        f"{number(scale * error.before)} {unit}",
+        f"{number(scale * error.after)} {unit}",
+        "–" if error.ratio is None else percent(error.ratio),
+        "–" if error.ratio_ci95 is None else " to ".join(map(percent, error.ratio_ci95)),
+        channel,
+        error.worse,
+    )
+
+
+def _per_log(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
+    """Name, starts, left, interval of each test log, where there are several."""
+    logs = diagnosis.gain.per_log
     return [
-        ("Position error (rms, all axes together)", *_pair(gain.position, "m")),
-        ("Velocity error (rms, all axes together)", *_pair(gain.velocity, "m/s")),
         (
-            "All channels, in units of noise",
-            "100 %",
-            percent(gain.ratio),
-            percent(gain.ratio),
-        ),
+            one.name,
+            str(one.starts),
+            percent(one.ratio),
+            "–" if one.ratio_ci95 is None else " to ".join(map(percent, one.ratio_ci95)),
+        )
+        for one in (logs if len(logs) > 1 else ())
     ]
 
 
-def _pair(errors: BeforeAfter | None, unit: str) -> tuple[str, str, str]:
-    if errors is None:
-        return "not measured", "not measured", "–"
-    left = percent(errors.after / errors.before) if errors.before else "–"
-    return f"{number(errors.before)} {unit}", f"{number(errors.after)} {unit}", left
+def _rejected(diagnosis: Diagnosis) -> str:
+    """Stretches of logs that were left out, by the time since each log's start."""
+    parts = []
+    for one in diagnosis.rejected:
+        clock = diagnosis.clocks.get(one.log, 0.0)
+        ends = (moment(one.start, clock, ".1f"), moment(one.end, clock, ".1f").removeprefix("t = "))
+        parts.append(f"`{one.log}` {' to '.join(ends)} ({one.reason})")
+    return ", ".join(parts)
 
 
 def _told(axis: AxisCheck) -> tuple[str, str, str, str, str, list[tuple[str, str]]]:
@@ -276,12 +337,16 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ("Vehicle", f"{vehicle.name}, free in {joined(vehicle.dof)}"),
         ("Thrusters", ", ".join(f"`{name}`" for name in vehicle.thruster_names) or "none"),
         ("Training logs", ", ".join(f"`{name}`" for name in diagnosis.train)),
-        ("Test log", f"`{diagnosis.test}`"),
+        (
+            "Test log" if len(diagnosis.tests) == 1 else "Test logs",
+            ", ".join(f"`{name}`" for name in diagnosis.tests),
+        ),
         ("Measured in the test log", channels or "nothing"),
+        *([("Left out", _rejected(diagnosis))] if diagnosis.rejected else []),
         ("Sensor noise", _noises(diagnosis) or "none is measured"),
         (
             "Predictions",
-            f"{count(diagnosis.gain.starts, 'start')} on the test log, "
+            f"{count(diagnosis.gain.starts, 'start')} on {count(len(diagnosis.tests), 'test log')}, "
             f"{number(diagnosis.gain.horizon)} s each",
         ),
         (

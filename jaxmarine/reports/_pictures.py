@@ -128,7 +128,8 @@ def _evidence(diagnosis: Diagnosis) -> Figure | None:
 def _trajectories(diagnosis: Diagnosis) -> Figure | None:
     predictions = diagnosis.predictions
     channel = telling_channel(predictions)
-    courses = [course(predictions, start) for start in typical_starts(predictions)]
+    clock = diagnosis.clocks.get(predictions.log, 0.0)
+    courses = [course(predictions, start, clock) for start in typical_starts(predictions)]
     if channel is None or not courses:
         return None
     column = CHANNELS.index(channel)
@@ -140,7 +141,7 @@ def _trajectories(diagnosis: Diagnosis) -> Figure | None:
             ax.plot(c.ahead, c.curves[name][:, column], color=_COLOURS[name], label=name)
         ax.axvline(0.0, color=_QUIET, ls=":")
         ax.set(
-            title=f"start at t = {number(c.begin, 4)} s",
+            title=f"start at {c.start}",
             xlabel="time since the start [s]",
             ylabel=f"{CHANNEL_TITLES[channel]} [{shown_unit(channel)}]",
         )

@@ -38,8 +38,8 @@ def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOG
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
-def sureness(log_evidence: float) -> str:
-    """The log evidence in words and as a number (Kass and Raftery, 1995)."""
+def sureness(log_evidence: float, of: str = "") -> str:
+    """The log evidence in words and as a number (Kass and Raftery, 1995); `of`: what is that sure."""
     if not math.isfinite(log_evidence):
         return "The evidence could not be put into a number."
     if log_evidence < 0:
@@ -52,6 +52,7 @@ def sureness(log_evidence: float) -> str:
         words = "Strong"
     else:
         words = "Very strong"
+    words = f"{of}: {words[0].lower()}{words[1:]}" if of else words
     return f"{words} (log evidence {number(log_evidence)}; more than 5 is very strong)."
 
 
@@ -115,12 +116,14 @@ def verdict(diagnosis: Diagnosis) -> str:
             "The vehicle file does not explain these logs, and no cause was found. Check the axes, signs and "
             "units of both; a strong disturbance would look like this too."
         )
+    if diagnosis.verdict == "nothing_found" and diagnosis.dropped:
+        return "No cause is named: what was found at first did not hold."
     if diagnosis.verdict == "nothing_found":
         return "Nothing is wrong that these logs could show: the vehicle file explains them."
     if diagnosis.verdict == "unexplained":
         return sentence(unknown)
     if diagnosis.verdict == "explained" and len(named) == 1 and not diagnosis.far:
-        return what(_without_errors(named[0]), diagnosis.vehicle)
+        return what(_without_errors(named[0]), diagnosis.vehicle, diagnosis.clock_of(named[0]))
     causes = joined([title(finding.label) for finding in named])
     if diagnosis.verdict == "explained" and diagnosis.far:
         return (
@@ -176,23 +179,35 @@ def gain_words(diagnosis: Diagnosis) -> str:
         return "No cause was added, so there is no gain to state; refitted coefficients alone count as none."
     if diagnosis.verdict == "nothing_found":
         return "Nothing was added to the model, so its predictions stay what they were."
-    interval = "too short a log for an interval"
-    if gain.ratio_ci95 is not None:
-        interval = "95 % interval {} to {}".format(*map(percent, gain.ratio_ci95))
-    return (
+    text = (
         f"Predictions over {number(gain.horizon)} s now have {percent(gain.ratio)} of the error that they "
-        f"had ({interval}), over all measured channels, each in units of its noise."
+        f"had ({interval(gain.ratio_ci95)}), over all measured channels, each in units of its noise."
     )
+    return f"{text} That is not so for {joined(list(gain.worse))}." if gain.worse else text
+
+
+def interval(ends: tuple[float, float] | None) -> str:
+    """The 95 % interval of a ratio, or why there is none."""
+    if ends is None:
+        return "too short a log for an interval"
+    return "95 % interval {} to {}".format(*map(percent, ends))
 
 
 def held_out(diagnosis: Diagnosis) -> str:
     """Whether the gain was measured on a log that the diagnosis had not seen."""
+    names = joined([f"`{name}`" for name in diagnosis.tests])
+    if diagnosis.gain.held_out and len(diagnosis.tests) == 1:
+        return (
+            f"Held out: {names} was not used for finding or fitting anything; it could at most take names "
+            "back that buy nothing on it."
+        )
     if diagnosis.gain.held_out:
         return (
-            f"Held out: `{diagnosis.test}` was not used for finding or fitting anything; it could at most "
-            "take names back that buy nothing on it."
+            f"Held out: {names} were not used for finding or fitting anything; they could at most take names "
+            "back that buy nothing on them."
         )
+    seen = [f"`{one.name}`" for one in diagnosis.gain.per_log if not one.held_out]
     return (
-        f"Not held out: `{diagnosis.test}` was also used for training, so the gain is too good to "
-        "be true for a new log. Test on another one."
+        f"Not held out: {joined(seen) or names} {'were' if len(seen) > 1 else 'was'} also used for training, "
+        "so the gain is too good to be true for a new log. Test on another one."
     )
