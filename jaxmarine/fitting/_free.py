@@ -7,7 +7,7 @@ numbers: `Entries` takes them as they are, `Inertia` and `Dissipative` keep a ma
 import abc
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
@@ -29,8 +29,8 @@ _BRAKING = 0.2
 # Share of an axis' total inertia below which a fitted one fades out instead of becoming negative, and the
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
-# Leaves that are positive by what they are.
-_SCALES = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
+# Leaves of numbers that are positive by what they are.
+_THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
 # A dissipative matrix starts with at least this share of its size in every direction, because its
 # factor has no slope at zero.
 _FLOOR = 1e-2
@@ -70,22 +70,27 @@ class Entries(AbstractPart):
         return raw
 
 
-class Scale(AbstractPart):
-    """A leaf of positive numbers, by their logarithms: a thrust that is fitted keeps its direction.
+class Magnitudes(AbstractPart):
+    """A leaf of numbers that keep their sign where they start positive, by their logarithms; others as they
+    are.
 
-    `base` holds what is not free; `places`: of the free ones in the flat leaf, which are the entries.
+    A thrust does not turn round, and damping on a diagonal brakes. `base` holds what is not free; `places`:
+    of the free entries in the flat leaf; `positive`: which of them go by their logarithm.
     """
 
     start: Float[Array, " own"]
     base: Array
     names: tuple[str, ...] = eqx.field(static=True)
     places: tuple[int, ...] = eqx.field(static=True)
+    positive: tuple[bool, ...] = eqx.field(static=True)
 
     def __call__(self, raw: Float[Array, " own"]) -> Array:
-        return self.base.ravel().at[np.array(self.places)].set(jnp.exp(raw)).reshape(self.base.shape)
+        flat = self.base.ravel().at[np.array(self.places, int)].set(self.entries(raw))
+        return flat.reshape(self.base.shape)
 
     def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
-        return jnp.exp(raw)
+        positive = np.array(self.positive, bool)
+        return jnp.where(positive, jnp.exp(jnp.where(positive, raw, 0.0)), raw)
 
 
 def _faded(raw: Array, soft: Array) -> Array:
@@ -265,16 +270,16 @@ def set_free(
             size = np.sqrt(np.outer(*[np.diag(vehicle.mass_matrix)] * 2)).ravel()[flat]
         elif name in ("damping.linear", "damping.quadratic"):
             mask = _mask(vehicle, leaf, entries, dissipative) & ~held
-            make = functools.partial(_dissipative if dissipative else _plain, vehicle)
-            part = make(name, np.asarray(leaf), mask)
+            make = _plain if linear else _dissipative if dissipative else _braking
+            part = make(vehicle, name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif name in _SCALES and (np.asarray(leaf) >= 0).all() and not held.all():
+        elif name in _THRUSTS and not held.all():
             if name == "thrusters.max_thrust_reverse":
                 # Where the file states none it is fitted by itself from there on, or held to be `max_thrust`.
                 leaf = np.where(held, leaf, vehicle.thrusters.reverse)
-            part = _scale(vehicle, name, np.asarray(leaf), held)
-            flat = _places_of(part)
+            flat, labels = np.flatnonzero(~held), _labels(vehicle, name, np.asarray(leaf))
+            part = _magnitudes(np.asarray(leaf), flat, [labels[k] for k in flat], np.ones(len(flat), bool))
             size = np.asarray(leaf).ravel()[flat]
         else:
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
@@ -403,9 +408,9 @@ def _matrix_places(axes, pairs) -> np.ndarray:
     return rows * 6 + columns
 
 
-def _places_of(part: Entries | Scale | Inertia | Dissipative) -> np.ndarray:
+def _places_of(part: Entries | Magnitudes | Inertia | Dissipative) -> np.ndarray:
     """Flat places in the leaf of a part's entries."""
-    if isinstance(part, Scale):
+    if isinstance(part, Magnitudes):
         return np.array(part.places)
     if isinstance(part, Entries):
         return np.argmax(np.asarray(part.spread), axis=0)
@@ -487,6 +492,13 @@ def _plain(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> E
     return _entries(leaf, [(6 * i + j,) for i, j in pairs], names)
 
 
+def _braking(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Magnitudes:
+    del vehicle
+    rows, columns = np.nonzero(mask)
+    names = [_entry(name, i, j, "<-") for i, j in zip(rows, columns, strict=True)]
+    return _magnitudes(leaf, 6 * rows + columns, names, rows == columns)
+
+
 def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndarray) -> Entries:
     """A leaf without constraints; of an effect on a target only what belongs to the target."""
     groups, names = _of_target(vehicle, path) if path[0].name == "placed" else (None, None)
@@ -497,14 +509,16 @@ def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndar
     return _entries(leaf, [groups[k] for k in kept], [names[k] for k in kept])
 
 
-def _scale(vehicle: Vehicle, name: str, leaf: np.ndarray, held: np.ndarray) -> Scale:
-    places = np.flatnonzero(~held.ravel())
-    labels = _labels(vehicle, name, leaf)
-    return Scale(
-        start=jnp.log(jnp.asarray(leaf.ravel()[places])),
+def _magnitudes(leaf: np.ndarray, places: np.ndarray, names: Sequence[str], may: np.ndarray) -> Magnitudes:
+    """Of the flat `places` of a leaf; `may`: whether an entry keeps its sign where it is positive."""
+    value = leaf.ravel()[places].astype(float)
+    positive = may & (value > 0)
+    return Magnitudes(
+        start=jnp.asarray(np.where(positive, np.log(np.where(positive, value, 1.0)), value)),
         base=jnp.asarray(leaf),
-        names=tuple(labels[k] for k in places),
+        names=tuple(names),
         places=tuple(places.tolist()),
+        positive=tuple(positive.tolist()),
     )
 
 
