@@ -14,7 +14,6 @@ from jaxmarine._errors import InputError
 from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
-from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
 from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
@@ -23,6 +22,7 @@ from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import CATALOGUE, Saturation, ThrusterGain
+from jaxmarine.fitting._kinematics import kinematics
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate

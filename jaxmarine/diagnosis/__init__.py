@@ -1,7 +1,6 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
 from ._diagnose import diagnose as diagnose
-from ._kinematics import disagreement as disagreement
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan

@@ -1,7 +1,8 @@
 """Stages command and thruster: what happens between a command and the thrust.
 
-Which thruster a column drives comes first (`ExchangedThrusters`). They act in the order delay, deadband, saturation, curve, gain, lag, inflow, whatever the order in
-which they stand in the vehicle (`physics.Drive`).
+Which thruster a column drives comes first (`ExchangedThrusters`). The others act in the order delay,
+deadband, saturation, curve, gain, lag, inflow, whatever the order in which they stand in the vehicle
+(`physics.Drive`).
 """
 
 import dataclasses

@@ -59,5 +59,5 @@ class Earlier:
 def late(
     t: Times, values: Float[Array, "times 18"], delay: Float[Array, "times kinds"]
 ) -> Float[Array, "times 18"]:
-    """What sensors show that are `delay` seconds late, per sample and kind; a delay of zero changes nothing."""
+    """What sensors show that are `delay` seconds late, per sample and kind; zero changes nothing."""
     return Earlier(t, delay).shown(values)[0]
