@@ -157,7 +157,7 @@ def slopes(name: str):
         now = jax.tree.map(lambda a: a[17], at)
         readings = plant.readings(start, plant.acceleration(start, now))
         rates = plant.rates(start, now).memory
-        before = late(jnp.asarray(TIMES[:6]), track, jnp.tile(plant.delay, (6, 1)))
+        before = late(jnp.asarray(TIMES[:6]), track, jnp.tile(jnp.asarray(plant.delay), (6, 1)))
         return jnp.concatenate([over.thrust.ravel(), at.thrust.ravel(), readings, rates, before.ravel()])
 
     exact = np.asarray(jax.jit(jax.jacfwd(shown))(jnp.asarray(theta)))

@@ -211,7 +211,7 @@ def test_a_diagnosis_names_sensors_that_deviate_or_lag(name, target, values):
 
 def test_beside_an_axis_that_was_misread_no_name_is_believed():
     log, test = sailed(), sailed(seconds=60.0, seed=4)
-    wrong = [dataclasses.replace(one, channels=_scaled(one.channels, [7], -1)) for one in (log, test)]
-    found = jm.diagnose(packaged(BOAT), *wrong)
+    log, test = (dataclasses.replace(one, channels=_scaled(one.channels, [7], -1)) for one in (log, test))
+    found = jm.diagnose(packaged(BOAT), log, test)
     assert not any(one.named for one in found.findings)
     assert found.notes[0].startswith("V has the wrong sign")

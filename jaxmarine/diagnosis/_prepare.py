@@ -114,10 +114,10 @@ def _suspected(wrong: GrossError, catalogue: Sequence[type[AbstractEffect]]) -> 
 def workbench(
     vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None, filed: Vehicle | None = None
 ) -> Workbench:
-    """The workbench of a vehicle and its training logs; raises `InputError` where they are brief.
+    """The workbench of a vehicle and its training logs; raises `InputError` where they are too short.
 
-    - `catalogue`, `window`: as `diagnose` takes them; `filed`: the vehicle that a gain is measured against, if
-      it is another one.
+    - `catalogue`, `window`: as `diagnose` takes them; `filed`: the vehicle that a gain is measured
+      against, if it is another one.
     """
     noise = noise_of(vehicle, logs)
     data = cut(vehicle, logs, noise, _window(logs, window))

@@ -182,7 +182,7 @@ def _refitted(vehicle: Vehicle, seen: Kinematics, suspect: Suspect) -> PutRight:
         values = least_squares(lambda x, spread=spread: (errors(x) / spread).ravel(), values).x
         after = errors(values)
     found = dict(zip(names, values.tolist(), strict=True))
-    return found, *(np.where(known, error, np.nan) for error in (before, after))
+    return found, np.where(known, before, np.nan), np.where(known, after, np.nan)
 
 
 def _in_time(vehicle: Vehicle, logs: Sequence[Log], seen: Kinematics, kind: str) -> PutRight | None:
