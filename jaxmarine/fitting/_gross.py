@@ -131,10 +131,10 @@ def _agreed(vehicle: Vehicle, logs: Sequence[Log]) -> set[str]:
     seen = kinematics(vehicle, logs)
     if seen is None:
         return set()
-    measured = np.isfinite(seen.logged).any(axis=0)
+    measured = np.asarray(np.isfinite(seen.logged).any(axis=0))
     # A heading is confirmed by the track and velocities together, its rate by itself.
-    measured[5] &= bool(measured[:2].all())
-    return {dof for dof, known in zip(DOFS, measured, strict=True) if known}
+    found = {dof for dof, known in zip(DOFS, measured, strict=True) if known}
+    return found if {"surge", "sway"} <= found else found - {"yaw"}
 
 
 def _causes(vehicle: Vehicle, reading: Reading) -> tuple[Placed, ...]:

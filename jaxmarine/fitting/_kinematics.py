@@ -83,7 +83,7 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     for log in logs:
         channels = _bridged(log)
         poses = np.where(still, 0.0, channels[:, :6])
-        there = np.isfinite(poses).all(axis=1)
+        there = np.asarray(np.isfinite(poses).all(axis=1))
         turns = Rotation.from_euler("ZYX", np.where(there[:, None], poses, 0.0)[:, :2:-1]).as_matrix()
         rows = np.arange(0, len(log.t) - size, size)[:, None] + np.arange(size + 1)
         span = log.t[rows[:, -1]] - log.t[rows[:, 0]]
