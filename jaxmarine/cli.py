@@ -455,9 +455,8 @@ def check(
 ) -> None:
     """Says how well logs excite each axis, which coefficients they determine, and what to log next."""
     _prepare()
-    from .diagnosis import disagreement
     from .fitting import check as run
-    from .fitting import noise_of
+    from .fitting import disagreement, noise_of
     from .vehicle_io import load_vehicle
 
     craft = load_vehicle(vehicle)
@@ -468,7 +467,7 @@ def check(
         result = _stoppable(lambda _: run(craft, recorded), tell)
     _say(str(result))
     contradicted = disagreement(craft, recorded, noise_of(craft, recorded))
-    if contradicted is not None:
+    if contradicted is not None and not result.gross:
         _say(contradicted)
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from ._types import CHANNELS, Times
 from ._vmap_last import vmap_last
 from .logs import Log
-from .physics import from_euler, step_lengths, thrust
+from .physics import from_euler, late, step_lengths, thrust
 from .vehicle import Input, Plant, State, Vehicle
 
 # A product of step and fastest decay rate that the explicit method takes with an error below 1e-3.
@@ -242,6 +242,8 @@ def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wren
         return after, (state, shown)
 
     _, (states, channels) = jax.lax.scan(step, start, (segment, over, at, step_lengths(t), split))
+    if sampled.delay is not None:
+        channels = late(t, channels, sampled.delay)
     return Trajectory(t, channels, states)
 
 

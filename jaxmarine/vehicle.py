@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -20,10 +21,12 @@ from .effects import (
     CATALOGUE,
     AbstractEffect,
     DriveEffect,
+    ExchangedThrusters,
     FluidMemory,
     LoadEffect,
     Motion,
     Readings,
+    SensorDelay,
     SensorEffect,
     WaterEffect,
     WrenchEffect,
@@ -235,7 +238,7 @@ class Vehicle(eqx.Module):
             gravity=self.gravity,
         )
         drive = self.thrusters.drive()
-        current = None
+        current, delay = None, None
         for effect in effects:
             if isinstance(effect, LoadEffect):
                 load = effect(load)
@@ -243,21 +246,40 @@ class Vehicle(eqx.Module):
                 drive = effect(drive)
             elif isinstance(effect, WaterEffect):
                 current = effect() if current is None else current + effect()
+            elif isinstance(effect, SensorDelay):
+                delay = effect.delay if delay is None else delay + effect.delay
         free = jnp.asarray(self.free)
         arms = jnp.cross(self.thrusters.position, self.thrusters.direction)
+        allocation = jnp.concatenate([self.thrusters.direction, arms], axis=1).T
+        exchanged = self._exchanged(gates)
+        if exchanged is not None:
+            # A column takes all that is its thruster's; after the other effects, which are the thrusters'.
+            drive, allocation = jax.tree.map(lambda a: a @ exchanged, (drive, allocation))
         return Plant(
             load=load,
             inverse_mass=_inverse_mass(load, free),
             damping=self.damping,
             drive=drive,
-            direction=self.thrusters.direction,
-            allocation=jnp.concatenate([self.thrusters.direction, arms], axis=1).T,
+            direction=allocation[:3].T,
+            allocation=allocation,
             current=current,
             wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
             sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
             free=free,
             slider=self.slider,
+            delay=delay,
         )
+
+    def _exchanged(self, gates: Float[Array, " placed"] | None) -> Float[Array, "thrusters thrusters"] | None:
+        """From what is the thrusters' to what is the columns', None where no columns are exchanged."""
+        out, eye = None, np.eye(len(self.thruster_names))
+        for i, p in enumerate(self.placed):
+            if isinstance(p.effect, ExchangedThrusters) and p.target is not None:
+                other = eye[:, ExchangedThrusters.columns_of(p.target, self.thruster_names)]
+                acts = 1.0 if gates is None or p.since is None else gates[i]
+                one = jnp.asarray(eye + acts * (other - eye))
+                out = one if out is None else out @ one
+        return out
 
 
 def _inverse_mass(load: Load, free: Float[Array, "6"]) -> Matrix6:
@@ -270,6 +292,7 @@ class Plant(eqx.Module):
     """A vehicle at one time: constants ready for the equations of motion.
 
     - `current`: velocity of the water [m/s] NED; None where nothing moves it, which spares a fifth of a step.
+    - `delay` [s]: of each kind of sensor (`physics.LATE`), for `physics.late`; None where none is suspected.
     """
 
     load: Load
@@ -283,6 +306,7 @@ class Plant(eqx.Module):
     sensors: tuple[SensorEffect, ...]
     free: Float[Array, "6"]
     slider: Slider | None = None
+    delay: Float[Array, "kinds"] | None = None
 
     @property
     def water(self) -> Vector3:
@@ -387,7 +411,7 @@ class Plant(eqx.Module):
         )
 
     def readings(self, state: State, nu_dot: Velocity) -> Float[Array, "18"]:
-        """What the sensors show, in the order of `_types.CHANNELS`."""
+        """What sensors in time show, in the order of `_types.CHANNELS`."""
         shown = Readings(state.position, to_euler(state.attitude), state.velocity, nu_dot)
         turn = rotation(state.attitude)
         for effect in self.sensors:
@@ -426,12 +450,13 @@ def allocate(
     """
     names = vehicle.dof if dof is None else dof
     rows = np.array([DOFS.index(name) for name in names])
-    thrusters = vehicle.thrusters
-    effect = vehicle.plant().allocation[rows] * thrusters.max_thrust[None]
+    plant = vehicle.plant()
+    drive = plant.drive
+    effect = plant.allocation[rows] * drive.max_thrust[None]
     shares = wrench[..., rows] @ jnp.linalg.pinv(effect).T
     limits, backwards, quadratic = (
         jnp.broadcast_to(one, shares.shape)
-        for one in (vehicle.command_limits, thrusters.max_thrust / thrusters.reverse, thrusters.quadratic)
+        for one in (vehicle.command_limits, drive.max_thrust / drive.max_thrust_reverse, drive.quadratic)
     )
     commands = _uncurved(shares * jnp.where(shares < 0.0, backwards, 1.0), quadratic)
     return jnp.clip(commands, -limits, limits)

@@ -156,9 +156,9 @@ def load_vehicle(
                 if unknown:
                     raise ValueError(
                         f"has the parameter `{unknown[0]}`; `{entry.effect}` has "
-                        f"{', '.join(entry_names(suspect))}."
+                        f"{', '.join(entry_names(suspect)) or 'none'}."
                     )
-                if not entry.parameters:
+                if suspect.slots and not entry.parameters:
                     raise ValueError(
                         f"is `{entry.effect}` without any parameter; give {', '.join(suspect.slots)}."
                     )

@@ -20,7 +20,9 @@ hypothesis.settings.load_profile("jaxmarine")
 ROOT = Path(__file__).resolve().parent.parent
 
 # Modules that diagnose the same vehicles: in one process, which compiles their programs once.
-DIAGNOSING = {f"test_{name}" for name in ("contradiction", "diagnosis", "hidden", "score", "unknown", "walk")}
+DIAGNOSING = {
+    f"test_{name}" for name in ("contradiction", "diagnosis", "gross", "hidden", "score", "unknown", "walk")
+}
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmarine.diagnosis._kinematics import contradiction, disagreement, kinematics
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.effects import VelocityInEarthAxes, VelocityScale
+from jaxmarine.fitting._kinematics import contradiction, disagreement, kinematics
 from jaxmarine.logs import Log
 from jaxmarine.vehicle import Placed
 from tests.boats import boat, record, steps

@@ -15,7 +15,6 @@ from jaxmarine._progress import silent
 from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
-from jaxmarine.diagnosis._kinematics import kinematics
 from jaxmarine.diagnosis._knots import Knots, wave_start
 from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
@@ -33,6 +32,7 @@ from jaxmarine.effects import (
     Saturation,
     ThrusterGain,
 )
+from jaxmarine.fitting._kinematics import kinematics
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate

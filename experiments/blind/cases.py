@@ -259,10 +259,13 @@ def sized(vehicle: Vehicle, d: Draw, severity: float, excitation: str) -> Hidden
     """The drawn effect at the magnitude that gives about this severity, or None where it cannot.
 
     Prediction errors grow about as the magnitude, so each trial scales it by the ratio of the
-    wanted to the found error; where that leaves the bracket, the bracket is halved.
+    wanted to the found error; where that leaves the bracket, the bracket is halved. What has no
+    magnitude is as it is.
     """
     wanted, a, low, high = severity**2 - 1.0, d.guess, d.low, d.high
     best: tuple[float, Hidden] | None = None
+    if d.low == d.high:
+        return d.build(a)
     for _ in range(8):
         effect = d.build(a)
         try:

@@ -218,6 +218,18 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             keys = ("r",) if planar else ("p", "q", "r")
             c = shares(rng, len(keys))
             return Draw(effect(lambda a: dict(zip(keys, (a * c).tolist(), strict=True))), 0.002, 0.02, 0.3)
+        case "compass_deviation":
+            c = shares(rng, 3)
+            keys = ("constant", "cos", "sin")
+            return Draw(effect(lambda a: dict(zip(keys, (a * c).tolist(), strict=True))), 0.01, 0.15, 0.5)
+        case "sensor_delay":
+            target = str(rng.choice(["position", "attitude", "velocity", "rate"]))
+            # Whole samples of 0.1 s: what lies between is not logged.
+            return Draw(effect(lambda a: {"delay": max(round(a, 1), 0.1)}, target), 0.1, 0.3, 1.0)
+        case "exchanged_thrusters":
+            i, j = sorted(rng.choice(len(vehicle.names), 2, replace=False))
+            target = f"{vehicle.names[i]}+{vehicle.names[j]}"
+            return Draw(effect(lambda a: {}, target), 1.0, 1.0, 1.0)
         case _:
             raise ValueError(f"Effect `{name}` is not in the catalogue.")
 
@@ -235,6 +247,7 @@ def names(vehicle: Vehicle) -> list[str]:
         "velocity_lever_arm",
         "velocity_scale", "velocity_misalignment", "velocity_in_earth_axes", "gyro_bias",
         "reverse_thrust", "turning_lift",
+        "compass_deviation", "sensor_delay", "exchanged_thrusters",
     ]  # fmt: skip
     if len(vehicle.free) == 6:
         out += ["buoyancy", "trim"]

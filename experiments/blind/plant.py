@@ -29,7 +29,10 @@ SENSOR = (
     "velocity_scale",
     "velocity_in_earth_axes",
     "gyro_bias",
+    "compass_deviation",
+    "sensor_delay",
 )
+KINDS = {"position": slice(0, 3), "attitude": slice(3, 6), "velocity": slice(6, 9), "rate": slice(9, 12)}
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,7 @@ class Model:
         weight, point_buoyancy, point_moment = v.weight, 0.0, np.zeros(3)
         self.lag, self.delay = v.lag.copy(), v.delay.copy()
         self.deadband, self.saturation = v.deadband.copy(), v.saturation.copy()
+        self.column = np.arange(n)  # of each thruster, the column that holds its command
         self.gain, self.reverse, self.curve, self.inflow = np.ones(n), np.ones(n), v.curve.copy(), 0.0
         self.current, self.constant = np.zeros(3), np.zeros((6, 1))
         self.waves: Effect | None = None
@@ -180,6 +184,9 @@ class Model:
                     self.gain[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
                 case "reverse_thrust":
                     self.reverse[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
+                case "exchanged_thrusters":
+                    i, j = (v.names.index(name) for name in str(e.target).split("+"))
+                    self.column[[i, j]] = self.column[[j, i]]
                 case "thrust_curve":
                     self.curve += e.parameters["quadratic"]
                 case "thruster_lag":
@@ -214,7 +221,8 @@ class Model:
         self.allocation = v.allocation / v.max_thrust
 
     def drive(self, commands: Array) -> Array:
-        """Steady thrust [N] of commands (..., thrusters, B): deadband, saturation, curve, gain."""
+        """Steady thrust [N] of commands (..., columns, B): deadband, saturation, curve, gain."""
+        commands = commands[..., self.column, :]
         dead, limit, curve = self.deadband[:, None], self.saturation[:, None], self.curve[:, None]
         c = np.sign(commands) * np.maximum(np.abs(commands) - dead, 0.0)
         c = np.clip(c, -limit, limit)
@@ -391,6 +399,13 @@ def thrust_states(model: Model, commands: Array) -> Array:
     return out
 
 
+def earlier(t: Array, signals: Array, delay: float) -> Array:
+    """Signals (K, n, B) so long before, along lines; before the first sample the first line goes on."""
+    k = np.clip(np.searchsorted(t, t - delay + 1e-9) - 1, 0, len(t) - 2)
+    share = ((t - delay - t[k]) / (t[k + 1] - t[k]))[:, None, None]
+    return (1.0 - share) * signals[k] + share * signals[k + 1]
+
+
 def observed(effects: Sequence[Effect], t: Array, signals: Array) -> Array:
     """What sensors without noise log of the true signals (K, 18, B) at the times t (K,)."""
     out = signals.copy()
@@ -409,6 +424,13 @@ def observed(effects: Sequence[Effect], t: Array, signals: Array) -> Array:
                 f = e.parameters["fraction"]
                 earth = np.einsum("ijkb,kjb->kib", rotation(pose[on, 3:6].swapaxes(0, 1)), v[on])
                 v[on] = (1.0 - f) * v[on] + f * earth
+            elif name == "compass_deviation":
+                constant, cos, sin = e.vector("constant", "cos", "sin")
+                psi = pose[on, 5]
+                pose[on, 5] = psi + constant + cos * np.cos(psi) + sin * np.sin(psi)
+            elif name == "sensor_delay":
+                kind = KINDS[str(e.target)]
+                out[on, kind] = earlier(t, out[:, kind], e.parameters["delay"])[on]
             else:
                 w[on] += e.vector("p", "q", "r")[:, None]
     return out

@@ -2,7 +2,6 @@
 
 from .._progress import Estimate as Estimate
 from ._diagnose import diagnose as diagnose
-from ._kinematics import disagreement as disagreement
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan

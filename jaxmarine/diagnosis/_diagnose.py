@@ -9,14 +9,14 @@ from threadpoolctl import threadpool_limits
 from .._precision import need_double
 from .._progress import AGAIN, LEARNING, PREDICTING, SETTLING, Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
+from ..fitting import disagreement
 from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
-from ._judge import judged
-from ._kinematics import disagreement
+from ._judge import Judged, judged
 from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
@@ -26,6 +26,9 @@ from ._search import Found, Round, search
 from ._settle import settled
 from ._unnamed import ALONE, WITH_UNKNOWN, Answer, Unnamed, left_over, with_unknown
 from ._worth import buys_nothing, gain_at_home, measured_gain
+
+# Evidence [nats] of what leaves a vehicle that runs away without it.
+CERTAIN = 1e6
 
 
 # Many small products of matrices: threads of the linear algebra would only wait for one another, on a
@@ -54,18 +57,24 @@ def diagnose(
     """
     need_double("A diagnosis")
     opened = opened_with(vehicle, train, test, catalogue, window, progress)
-    bench, rival, found, lost = _searched(opened.bench, opened.begun, progress)
-    answer, rounds = _chosen(bench, rival, found, progress)
-    answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
+    if opened.nameless:
+        bench, rounds, measured, told, lost = opened.bench, (), None, [], ()
+        rival = Unnamed(bench)
+        answer = rival.answer
+    else:
+        bench, rival, found, lost = _searched(opened.bench, opened.begun, progress)
+        answer, rounds = _chosen(bench, rival, found, progress)
+        answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
     terms, unlearned = _learned(bench, answer, progress)
     extended = extended_by(bench, model, answer.dense).place(*terms)
     progress(PREDICTING)
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
-    changed = bool(model.members or terms or (answer.dense and answer.unknown))
+    changed = bool(model.members or terms or opened.exchanged or (answer.dense and answer.unknown))
     measured = measured or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
-    findings = findings_of(bench, now, rounds, std)
+    connected = bench.as_connected() if opened.exchanged else bench
+    findings = _exchanges(connected, now, opened.exchanged) + findings_of(bench, now, rounds, std)
     logs, tests = bench.data.logs, opened.tests
     apart = None if now.white else disagreement(extended, logs, bench.noise)
     verdicts: dict[tuple[bool, bool], Verdict] = {
@@ -85,7 +94,9 @@ def diagnose(
         recalibrated=recalibrated(bench, now, std) if answer.dense else (),
         rounds=tuple(weighed(bench, one) for one in rounds),
         groups=groups(findings),
-        misfit_before=2 * rival.start.cost / bench.samples,
+        misfit_before=2 * Unnamed(connected).start.cost / bench.samples
+        if opened.exchanged
+        else 2 * rival.start.cost / bench.samples,
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
         missing_before=missing_wrench(rival.judged.knots),
@@ -196,6 +207,29 @@ def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tupl
         terms = ()
         notes.append("What was learned of it predicts the training log worse than nothing; it was left out.")
     return terms, notes
+
+
+def _exchanges(connected: Workbench, now: Judged, exchanged: Sequence[Placed]) -> tuple[Finding, ...]:
+    """A finding for each pair of columns that are exchanged; their evidence is that of all together.
+
+    - `connected`: the workbench with the columns as filed.
+    """
+    if not exchanged:
+        return ()
+    without = connected.refine(now.model)
+    # Where the vehicle runs away along the log with the columns as filed, it is as good as certain.
+    saved = min(2 * (without.cost - now.model.cost), 2 * CERTAIN * now.phi)
+    return tuple(
+        Finding(
+            effect=one.effect.name,
+            target=one.target,
+            since=None,
+            since_log=None,
+            parameters={},
+            log_evidence=0.5 * saved / now.phi,
+        )
+        for one in exchanged
+    )
 
 
 def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ...]:

@@ -120,6 +120,7 @@ class Workbench:
 
     It holds no state of the search: a `Model` goes in, a `Model` comes out.
 
+    - `filed`: the vehicle as filed, `vehicle` with its columns in the order that the log has them.
     - `noise`: of each channel, NaN where it is not used; `own_noise`: that of its sensor alone.
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
     - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
@@ -134,8 +135,10 @@ class Workbench:
         noise: Float[np.ndarray, "18"],
         split: int,
         own_noise: Float[np.ndarray, "18"] | None = None,
+        filed: Vehicle | None = None,
     ):
         self.vehicle = vehicle
+        self.filed = vehicle if filed is None else filed
         self.layout = layout
         self.data = data
         self.noise = noise
@@ -405,13 +408,20 @@ class Workbench:
         squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
         return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
 
+    def as_connected(self) -> "Workbench":
+        """The same with the columns as the vehicle file has them."""
+        data, split = self.data, self.split
+        return Workbench(self.filed, self.families, self.layout, data, self.noise, split, self.own_noise)
+
     def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
         """The same with another noise of its channels."""
         windows = self.data.windows
         weight = np.asarray(windows.weight) * np.nan_to_num(self.noise / noise, nan=1.0)
         windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
         data = dataclasses.replace(self.data, windows=windows)
-        return Workbench(self.vehicle, self.families, self.layout, data, noise, self.split, self.own_noise)
+        return Workbench(
+            self.vehicle, self.families, self.layout, data, noise, self.split, self.own_noise, self.filed
+        )
 
     @property
     def raised(self) -> bool:

@@ -21,7 +21,7 @@ from .._precision import need_double
 from .._progress import Progress, silent
 from ..fitting import start_precision, wrapped
 from ..logs import Log
-from ..physics import step_lengths, to_euler
+from ..physics import late, step_lengths, to_euler
 from ..simulation import hold, initial_state, inputs, substeps
 from ..vehicle import Placed, Plant, State, Vehicle
 from ._filed import FILED, base_coefficients
@@ -103,7 +103,11 @@ class _Causes(eqx.Module):
             shown = plant.readings(state, plant.acceleration(state, at))
             return hold(plant, state, over, dt, self.split), (state, shown)
 
-        return jax.lax.scan(step, start, tracks)[1]
+        states, shown = jax.lax.scan(step, start, tracks)[1]
+        if plant.delay is not None:
+            t = tracks[1].t
+            shown = late(t, shown, jnp.broadcast_to(plant.delay, (len(t), len(plant.delay))))
+        return states, shown
 
     def _tracks(self, plant: Plant, commands: Array):
         wrench = jnp.zeros((len(self.t), 6))

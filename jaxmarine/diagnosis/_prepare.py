@@ -9,13 +9,12 @@ from jaxtyping import Float
 from .._errors import InputError
 from .._progress import FITTING, Progress, silent
 from .._types import CHANNELS
-from ..effects import AbstractEffect
-from ..fitting import cut, noise_of, reviewed
+from ..effects import AbstractEffect, ExchangedThrusters
+from ..fitting import GrossError, contradiction, cut, misconnected, noise_of, reviewed
 from ..logs import Log
 from ..simulation import substeps
-from ..vehicle import Vehicle
+from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
-from ._kinematics import contradiction
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
 from ._search import dispersion
@@ -54,12 +53,18 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
 
 @dataclasses.dataclass(frozen=True)
 class Opened:
-    """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell."""
+    """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell.
+
+    - `exchanged`: columns that are, which the workbench's vehicle has exchanged already.
+    - `nameless`: whether something that no effect is makes all names worthless.
+    """
 
     bench: Workbench
     begun: Model
     tests: tuple[Log, ...]
     notes: tuple[str, ...]
+    exchanged: tuple[Placed, ...] = ()
+    nameless: bool = False
 
 
 def opened_with(
@@ -83,14 +88,19 @@ def opened_with(
     notes = [note for log in (*logs, *tests) for note in log.notes]
     logs, tests, doubled = named_apart(logs, tests)
     moving(logs)
-    every, reviews = reviewed(vehicle, (*logs, *tests))
+    wrong = [one for one in misconnected(vehicle, logs) if _suspected(one, catalogue)]
+    causes = tuple(cause for one in wrong for cause in one.causes)
+    # A log is judged by the vehicle that is connected as it was.
+    every, reviews = reviewed(vehicle.place(*causes), (*logs, *tests))
     logs, tests = every[: len(logs)], every[len(logs) :]
-    bench = workbench(vehicle, logs, catalogue, window)
+    exchanged = tuple(cause for cause in causes if isinstance(cause.effect, ExchangedThrusters))
+    bench = workbench(vehicle.place(*exchanged), logs, catalogue, window, vehicle)
     tests, left_out = _predictable(bench, tests)
     progress(FITTING)
-    begun, told = begun_with(bench)
-    notes += [*doubled, *reviews, *left_out, *stuck(bench), *told]
-    return Opened(rescaled(bench, begun), begun, tests, tuple(notes))
+    begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
+    notes = [*(one.told for one in wrong), *notes, *doubled, *reviews, *left_out, *stuck(bench), *told]
+    nameless = any(not one.causes for one in wrong)
+    return Opened(rescaled(bench, begun), begun, tests, tuple(notes), exchanged, nameless)
 
 
 def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:
@@ -120,10 +130,18 @@ def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...
     return tuple(usable), [f"Left out of the gain: {error}" for error in wrong]
 
 
-def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None) -> Workbench:
+def _suspected(wrong: GrossError, catalogue: Sequence[type[AbstractEffect]]) -> bool:
+    """Whether all its causes are among those that a diagnosis may name."""
+    return all(type(cause.effect) in catalogue for cause in wrong.causes)
+
+
+def workbench(
+    vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None, filed: Vehicle | None = None
+) -> Workbench:
     """The workbench of a vehicle and its training logs; raises `InputError` where they are too short.
 
-    - `catalogue`, `window`: as `diagnose` takes them.
+    - `catalogue`, `window`: as `diagnose` takes them; `filed`: the vehicle that a gain is measured
+      against, if it is another one.
     """
     noise = noise_of(vehicle, logs)
     data = cut(vehicle, logs, noise, _window(logs, window))
@@ -134,7 +152,8 @@ def workbench(vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | 
             "use a longer log or a shorter window."
         )
     families, layout = saturate(vehicle, catalogue)
-    bench = Workbench(vehicle, families, layout, data, noise, substeps(vehicle, data.hold, _speeds(logs)))
+    split = substeps(vehicle, data.hold, _speeds(logs))
+    bench = Workbench(vehicle, families, layout, data, noise, split, filed=filed)
     room = SLOTS - len(bench.base)
     for suspect in layout.suspects:
         if len(suspect.slots) > room:
@@ -192,18 +211,22 @@ def _unstated(bench: Workbench) -> list[int]:
     return np.flatnonzero(unstated & np.isfinite(bench.noise)).tolist()
 
 
-def begun_with(bench: Workbench) -> tuple[Model, list[str]]:
-    """The model to start from, and a note where it has more than the vehicle file.
+def begun_with(bench: Workbench, causes: Sequence[Placed] = ()) -> tuple[Model, list[str]]:
+    """The model to start from, and a note where it has more than the vehicle file and `causes`.
 
     A sensor that grossly contradicts the others is told at once where noises are estimated: the estimate
     would take its error for noise. Where they are stated, the search weighs it with all other causes.
     """
     model, suspects = bench.start(), bench.layout.suspects
+    for cause in causes:
+        i = bench.layout.place_of(cause)
+        value = suspects[i].values(cause.effect) - bench.layout.neutral_of(i)
+        model = bench.with_member(model, Member(i), value)
     proven = contradiction(bench.vehicle, bench.data.logs, suspects) if _unstated(bench) else None
     if proven is None:
         return model, []
-    i, values = proven
-    value = np.array([values[name] for name in suspects[i].slots]) - bench.layout.neutral_of(i)
+    i = proven.suspect
+    value = np.array([proven.values[name] for name in suspects[i].slots]) - bench.layout.neutral_of(i)
     note = (
         f"Positions, attitude and velocities contradict one another as {suspects[i].label} would make "
         "them, whatever forces act; it was taken first."

@@ -64,13 +64,16 @@ class Layout:
 def saturate(
     vehicle: Vehicle, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE
 ) -> tuple[tuple[AbstractEffect, ...], Layout]:
-    """The catalogue's families at their neutral value, and the layout of their parameters."""
+    """The catalogue's families at their neutral value, and the layout of their parameters.
+
+    A suspect without a number to fit is none of a search.
+    """
     families = tuple(cls.neutral(vehicle) for cls in catalogue)
     parts = [np.concatenate([np.zeros(0), *map(np.ravel, jax.tree.leaves(one))]) for one in families]
     flat, offsets = np.concatenate(parts), np.cumsum([0, *map(len, parts)])[:-1]
     suspects, columns = [], []
     for cls, offset in zip(catalogue, offsets, strict=True):
-        for suspect in cls.suspects(vehicle):
+        for suspect in (one for one in cls.suspects(vehicle) if one.slots):
             column = np.zeros((len(flat), len(suspect.slots)))
             for j, slots in enumerate(suspect.slots.values()):
                 column[int(offset) + np.array(slots), j] = 1.0

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..fitting import t_value as t_value
+
 # Windows on either side that one disturbance may push alike.
 NEIGHBOURS = 3
 # Share that a window may keep of the one before: with more, a sum over some tens of them says nothing.
@@ -74,11 +76,6 @@ def lasting(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarr
     share = np.clip(share + (1 + 3 * share) / count, 0.0, MOST_REMEMBERED)
     new = ((off[1:] - share * off[:-1]) ** 2).sum(0)
     return np.maximum(new / (1 - share) ** 2 / max(count - 2, 1), own / max(count - 1, 1))
-
-
-def t_value(per_window: Float[np.ndarray, " windows"]) -> float:
-    """A sum over windows in standard errors of it."""
-    return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))
 
 
 def blocks(windows: int) -> np.ndarray:

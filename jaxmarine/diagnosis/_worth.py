@@ -92,7 +92,8 @@ def _predicted(
     stretches = bench.stretches(model.members, test)
     gates = filled(stretches.gates)
     neutral = np.tile(bench.layout.neutral, (len(gates), 1))
-    candidates = [Candidate(bench.vehicle, bench.families, neutral, gates)]
+    own = gates[:, : len(bench.filed.placed)]
+    candidates = [Candidate(bench.filed, bench.families, neutral, own)]
     if changed:
         vehicle = bench.vehicle.place(*terms)
         gates = np.concatenate([gates, np.ones((len(gates), len(terms)))], axis=1)

@@ -40,6 +40,9 @@ from ._drive import (
     Deadband as Deadband,
 )
 from ._drive import (
+    ExchangedThrusters as ExchangedThrusters,
+)
+from ._drive import (
     InflowLoss as InflowLoss,
 )
 from ._drive import (
@@ -65,7 +68,13 @@ from ._load import Buoyancy as Buoyancy
 from ._load import Payload as Payload
 from ._load import Trim as Trim
 from ._sensor import (
+    CompassDeviation as CompassDeviation,
+)
+from ._sensor import (
     GyroBias as GyroBias,
+)
+from ._sensor import (
+    SensorDelay as SensorDelay,
 )
 from ._sensor import (
     VelocityInEarthAxes as VelocityInEarthAxes,
@@ -109,6 +118,7 @@ from ._wrench import (
 )
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
+    ExchangedThrusters,
     InputDelay,
     Deadband,
     Saturation,
@@ -136,4 +146,6 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     VelocityScale,
     VelocityInEarthAxes,
     GyroBias,
+    CompassDeviation,
+    SensorDelay,
 )

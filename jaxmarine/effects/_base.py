@@ -53,8 +53,8 @@ class Suspect:
 
     def values(self, effect: "AbstractEffect") -> Float[np.ndarray, " slots"]:
         """What it would have to find: its parameters in an effect, in the order of its slots."""
-        flat = np.concatenate([np.ravel(value) for value in effect.parameters().values()])
-        return flat[[places[0] for places in self.slots.values()]]
+        flat = np.concatenate([np.zeros(0), *(np.ravel(value) for value in effect.parameters().values())])
+        return flat[[places[0] for places in self.slots.values()]] if self.slots else flat[:0]
 
 
 class AbstractEffect(eqx.Module):

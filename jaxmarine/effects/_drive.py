@@ -1,10 +1,13 @@
 """Stages command and thruster: what happens between a command and the thrust.
 
-They act in the order delay, deadband, saturation, curve, gain, lag, inflow, whatever the order in
-which they stand in the vehicle (`physics.Drive`).
+Which thruster a column drives comes first (`ExchangedThrusters`). The others act in the order delay,
+deadband, saturation, curve, gain, lag, inflow, whatever the order in which they stand in the vehicle
+(`physics.Drive`).
 """
 
 import dataclasses
+import itertools
+from collections.abc import Sequence
 from typing import Self
 
 import jax.numpy as jnp
@@ -12,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .._types import Scalar
 from ..physics import Drive
-from ._base import Craft, DriveEffect, Suspect, scalar
+from ._base import AbstractEffect, Craft, DriveEffect, Suspect, scalar
 
 # A limit of commands that none reaches.
 _NO_LIMIT = 10.0
@@ -31,6 +34,39 @@ def _each_and_all(cls, craft: Craft) -> tuple[Suspect, ...]:
     each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
     together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
     return (*each, together) if len(names) > 1 else each
+
+
+class ExchangedThrusters(AbstractEffect):
+    """Each of two columns holds the other's command. Neutral: no target, which changes nothing.
+
+    It has no number: its target `a+b` says all, and `columns_of` what a column drives. A diagnosis decides it
+    by the signs of responses before anything is fitted. Source: swapped outputs of an autopilot.
+    """
+
+    name = "exchanged_thrusters"
+    units = {}
+    confused_with = ("thruster_gain", "coupled_damping")
+    shown_by = "each thruster driven by itself"
+    advice = "look at the wiring and the output map of the autopilot, or rename the two columns of the log"
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls()
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        pairs = itertools.combinations(craft.thruster_names, 2)
+        return tuple(Suspect(cls, f"{a}+{b}", {}) for a, b in pairs)
+
+    @staticmethod
+    def columns_of(target: str, names: Sequence[str]) -> list[int]:
+        """Of each column the thruster that it drives, by the places in `names`."""
+        out = list(range(len(names)))
+        for i, j in itertools.combinations(out, 2):
+            if f"{names[i]}+{names[j]}" == target:
+                out[i], out[j] = j, i
+        return out
 
 
 class InputDelay(DriveEffect):

@@ -1,4 +1,5 @@
-"""Stage sensor: what the log shows of a motion, in the order lever arm, misalignment, scale, earth axes.
+"""Stage sensor: what the log shows of a motion, in the order lever arm, misalignment, scale, earth axes,
+compass, delay.
 
 Each touches only the channels that it names; logged accelerations stay true and of `o`.
 """
@@ -7,10 +8,11 @@ import dataclasses
 from typing import Self
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._types import Matrix3, Scalar
-from ..physics import apply
-from ._base import Craft, Readings, SensorEffect, Suspect, free, scalar
+from ..physics import LATE, apply
+from ._base import AbstractEffect, Craft, Readings, SensorEffect, Suspect, free, scalar, zeros
 
 
 def _with_velocity(readings: Readings, velocity) -> Readings:
@@ -171,3 +173,66 @@ class GyroBias(SensorEffect):
         del rotation
         bias = jnp.concatenate([jnp.zeros(3), jnp.stack([self.p, self.q, self.r])])
         return dataclasses.replace(readings, nu=readings.nu + bias)
+
+
+class CompassDeviation(SensorEffect):
+    """Logged heading is the true psi plus constant + cos cos(psi) + sin sin(psi). Neutral: 0.
+
+    The coefficients A, B and C of a compass, by the true heading; the logged velocities are not touched.
+    Source: NGA, Handbook of Magnetic Compass Adjustment (2004), ch. 4.
+    """
+
+    name = "compass_deviation"
+    units = {"constant": "rad", "cos": "rad", "sin": "rad"}
+    confused_with = ("velocity_misalignment", "gyro_bias")
+    shown_by = "straight runs on several headings, with position and velocity measured"
+    advice = "swing the compass: iron and currents on board turn it, on some headings more than on others"
+
+    constant: Scalar
+    cos: Scalar
+    sin: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(), scalar(), scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        slots = {"constant": (0,), "cos": (1,), "sin": (2,)}
+        return (Suspect(cls, None, slots),) if free(craft, "yaw") else ()
+
+    def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
+        del rotation
+        phi, theta, psi = readings.attitude
+        off = self.constant + self.cos * jnp.cos(psi) + self.sin * jnp.sin(psi)
+        return dataclasses.replace(readings, attitude=jnp.stack([phi, theta, psi + off]))
+
+
+class SensorDelay(AbstractEffect):
+    """The channels of a kind show what was `delay` seconds before. Neutral: 0.
+
+    What a sensor showed before is not known from one state: `physics.late` reads it along the track.
+    Source: transport delay; Fossen (2021), sec. 13.
+    """
+
+    name = "sensor_delay"
+    units = {"delay": "s"}
+    plausible = {"delay": (0.0, 2.0)}
+    confused_with = ("input_delay", "thruster_lag")
+    shown_by = "quick turns and changes of speed, with all sensors logged"
+    advice = "look at the filter and the time stamps of this sensor: what it logs is old"
+
+    delay: Float[Array, "kinds"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(zeros(len(LATE)))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        moves = free(craft, "surge", "sway", "heave")
+        turns = free(craft, "roll", "pitch", "yaw")
+        there = {"position": moves, "attitude": turns, "velocity": moves, "rate": turns}
+        return tuple(Suspect(cls, kind, {"delay": (i,)}) for i, kind in enumerate(LATE) if there[kind])

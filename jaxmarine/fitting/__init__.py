@@ -25,6 +25,11 @@ from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
 from ._free import Select as Select
+from ._gross import GrossError as GrossError
+from ._gross import gross_errors as gross_errors
+from ._gross import misconnected as misconnected
+from ._kinematics import contradiction as contradiction
+from ._kinematics import disagreement as disagreement
 from ._least_squares import (
     LeastSquares as LeastSquares,
 )
@@ -100,6 +105,7 @@ from ._trajectory import Segments as Segments
 from ._trajectory import segments as segments
 from ._uncertainty import Combination as Combination
 from ._uncertainty import Parameter as Parameter
+from ._uncertainty import t_value as t_value
 from ._windows import Cut as Cut
 from ._windows import Records as Records
 from ._windows import Room as Room

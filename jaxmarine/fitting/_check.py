@@ -23,6 +23,7 @@ from ._advice import advice
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._free import set_free
+from ._gross import gross_errors
 from ._noise import at_residual, noise_of
 from ._review import reviewed
 from ._rollout import predict
@@ -113,6 +114,8 @@ class Check:
     - `advice`: what to do next, sentence by sentence.
     - `logs`: their names; `duration` [s]; `windows` of the length `window` [s].
     - `notes`: what was found in the logs, accidents that were left out and clocks that differ.
+    - `gross`: what is grossly wrong, such as columns that are exchanged or sensors that contradict one
+      another: to be mended before anything else is believed.
     """
 
     vehicle: str
@@ -127,6 +130,7 @@ class Check:
     misfit: float
     advice: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    gross: tuple[str, ...] = ()
 
     def __getitem__(self, dof: str) -> AxisCheck:
         """The axis of that name, such as `pitch`."""
@@ -140,7 +144,8 @@ class Check:
             f"{len(self.coefficients)} coefficients ({self.duration:.0f} s, {self.windows} windows of "
             f"{self.window:g} s)"
         )
-        lines = [head, "", *_table(self.axes), ""]
+        lines = [f"first: {one}" for one in self.gross] + ([""] if self.gross else [])
+        lines += [head, "", *_table(self.axes), ""]
         lines += [f"not determined by the data: {one}" for one in self.undetermined[:_SHOWN]]
         more = len(self.undetermined) - _SHOWN
         lines += [f"... and {more} more such combinations"] if more > 0 else []
@@ -168,6 +173,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     if not logs:
         raise InputError("A check needs at least one log.")
     need_double("A check")
+    gross = tuple(one.told for one in gross_errors(vehicle, logs))
     logs, notes = reviewed(vehicle, logs)
     freed, scales = _diagonals(vehicle)
     acting = segments(vehicle, logs)
@@ -185,7 +191,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     if not np.isfinite(refined.cost):
         raise runaway(logs[0].name, vehicle.name)
     found = evaluated(vehicle, logs, task, refined, freed.names, window)
-    return dataclasses.replace(found, notes=notes)
+    return dataclasses.replace(found, notes=notes, gross=gross)
 
 
 def evaluated(

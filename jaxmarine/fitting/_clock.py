@@ -10,9 +10,9 @@ from ._driven import Driven
 
 # The momentum that a vehicle gains is compared over stretches of this length [s], and offsets up to the
 # largest are tried, so many per second.
-_STRETCH, _LARGEST, _PER_SECOND = 0.5, 2.0, 20
+STRETCH, _LARGEST, _PER_SECOND = 0.5, 2.0, 20
 # Stretches per number that is regressed, blocks of stretches for the standard error.
-_FEWEST, _BLOCKS = 8, 20
+FEWEST, BLOCKS = 8, 20
 # An offset is one where it is so many standard errors from none, takes this part of the scatter that is left
 # (its logarithm, on the average over the axes), and is no less than this share of a sample and this time [s],
 # which smoothing and rounding of times may pretend. Effects that the regression lacks, such as waves and
@@ -45,32 +45,30 @@ def clock_offset(log: Log, track: StateTrack, drive: Driven) -> ClockOffset | No
     and products, tilt). All coefficients are free, so that a wrong vehicle file does not look like a delay.
     The standard error is that of a jackknife over blocks (Efron and Tibshirani 1993, ch. 11).
     """
-    edges = np.arange(log.t[0] + _LARGEST, log.t[-1] - _LARGEST, _STRETCH)
+    edges = np.arange(log.t[0] + _LARGEST, log.t[-1] - _LARGEST, STRETCH)
     force = drive.commanded[:, np.ptp(drive.commanded, axis=0) > 0]
     free = np.ptp(track.nu, axis=0) > 0
     if not free.any():
         return None
-    around = _integrals(log.t, _others(track, free), edges)
-    if not force.shape[1] or len(around) < max(_BLOCKS, _FEWEST * (around.shape[1] + force.shape[1])):
+    around = integrals(log.t, others(track, free), edges)
+    if not force.shape[1] or len(around) < max(BLOCKS, FEWEST * (around.shape[1] + force.shape[1])):
         return None
     gained = np.diff(np.stack([np.interp(edges, log.t, nu) for nu in track.nu.T[free]], axis=1), axis=0)
     offsets = np.arange(-_LARGEST, _LARGEST + 1e-9, 1 / _PER_SECOND)
-    block = np.arange(len(around)) * _BLOCKS // len(around)
+    block = np.arange(len(around)) * BLOCKS // len(around)
     scale = np.append(_size(around), np.append(_size(force), _size(gained)))
-    sums = np.array(
-        [_sums(around, _impulses(log.t, force, edges - d), gained, scale, block) for d in offsets]
-    )
+    sums = np.array([_sums(around, impulses(log.t, force, edges - d), gained, scale, block) for d in offsets])
     whole = _cost(sums.sum(axis=1), gained.shape[1], len(around))
     best = _lowest(offsets, whole)
     if best is None:
         return None
-    less = [_cost(sums.sum(axis=1) - sums[:, b], gained.shape[1], len(around)) for b in range(_BLOCKS)]
-    others = [_lowest(offsets, cost) for cost in less]
-    known = np.array([one for one in others if one is not None])
-    std = float(np.sqrt((_BLOCKS - 1) * np.mean((known - known.mean()) ** 2)))
+    less = [_cost(sums.sum(axis=1) - sums[:, b], gained.shape[1], len(around)) for b in range(BLOCKS)]
+    left_out = [_lowest(offsets, cost) for cost in less]
+    known = np.array([one for one in left_out if one is not None])
+    std = float(np.sqrt((BLOCKS - 1) * np.mean((known - known.mean()) ** 2)))
     takes = (whole[np.argmin(np.abs(offsets))] - whole.min()) / (len(around) * gained.shape[1])
     significant = (
-        len(known) == _BLOCKS
+        len(known) == BLOCKS
         and abs(best) > max(_SIGMAS * std, _SHARE * log.dt, _LEAST)
         and bool(takes > _TAKES)
     )
@@ -91,7 +89,7 @@ def told(offset: ClockOffset) -> str:
     )
 
 
-def _others(track: StateTrack, free: np.ndarray) -> Float[np.ndarray, "times others"]:
+def others(track: StateTrack, free: np.ndarray) -> Float[np.ndarray, "times others"]:
     """What acts besides the commands."""
     nu = track.nu[:, free]
     linear, angular = track.nu[:, :3], track.nu[:, 3:]
@@ -105,12 +103,12 @@ def _size(columns: np.ndarray) -> np.ndarray:
     return np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
 
 
-def _integrals(t: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def integrals(t: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Of what changes from sample to sample along lines, between the edges."""
     return _between(t, np.diff(t)[:, None] * (values[1:] + values[:-1]) / 2, edges)
 
 
-def _impulses(t: np.ndarray, held: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def impulses(t: np.ndarray, held: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Integrals of what holds from sample to sample, which grow along lines in between."""
     return _between(t, np.diff(t)[:, None] * held[:-1], edges)
 
@@ -125,7 +123,7 @@ def _sums(around, impulses, gained, scale, block) -> Float[np.ndarray, "blocks n
     """Products of all columns, summed over each block of stretches."""
     columns = np.concatenate([around, impulses, gained], axis=1) / scale
     products = columns[:, :, None] * columns[:, None, :]
-    starts = np.searchsorted(block, np.arange(_BLOCKS))
+    starts = np.searchsorted(block, np.arange(BLOCKS))
     return np.add.reduceat(products, starts, axis=0)
 
 

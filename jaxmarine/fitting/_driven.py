@@ -56,6 +56,21 @@ def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
     return Driven(given * vehicle.free, needed * vehicle.free, able * vehicle.free)
 
 
+def thrusts(vehicle: Vehicle, log: Log) -> Float[np.ndarray, "times thrusters"]:
+    """Thrust [N] that each column asks for over each sample's hold, by the vehicle, without inflow loss."""
+    count, more = len(vehicle.thruster_names), -len(log.t) % _GRAIN
+    commands = np.zeros((len(log.t), count)) if log.commands is None else log.commands[:, :count]
+    after = log.t[-1] + (log.t[-1] - log.t[-2]) * np.arange(1, more + 1)
+    commands = jnp.asarray(np.pad(commands, [(0, more), (0, 0)], mode="edge"))
+    return np.asarray(_thrusts(vehicle.plant(), jnp.asarray(np.append(log.t, after)), commands))[: len(log.t)]
+
+
+@compiled
+def _thrusts(plant: Plant, t, commands):
+    drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
+    return thrust(drive, t, commands).mean
+
+
 @compiled
 def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..physics import apply, attitude_rate, rotation
+from ..physics import KIND, Earlier, apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
 from ._parts import in_parts, joined, part_of
 from ._rollout import (
@@ -186,11 +186,13 @@ class _Chain(eqx.Module):
 
     sensors: Array
     lag: Array
+    delay: Array
 
 
 def _chain(plant: Plant) -> _Chain:
     sensors, _ = jax.flatten_util.ravel_pytree(plant.sensors)
-    return _Chain(sensors, plant.memory_lag() if plant.has_memory else jnp.zeros(0))
+    lag = plant.memory_lag() if plant.has_memory else jnp.zeros(0)
+    return _Chain(sensors, lag, jnp.zeros(0) if plant.delay is None else plant.delay)
 
 
 def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"]) -> Statistics:
@@ -417,6 +419,19 @@ def _each(problem: Problem, affine: Affine, knots: int):
         by_z = by_z.at[:, :, :given].add(_contract(by_sensors, chain_slopes.sensors, segment))
         return value, by_x + by_nu_dot @ nu_x, by_z
 
+    def earlier(t, segment, value, jacobian):
+        """Readings and their derivatives of a window, of sensors that are late so long before."""
+        if plants.delay is None:
+            return value, jacobian
+        when = Earlier(t, plants.delay[segment])
+        shown, slopes = when.shown(value)
+        # Mostly none is; the predicate is the same for all windows of a batch.
+        jacobian = jax.lax.cond(
+            jnp.any(plants.delay != 0.0), lambda: when.rows(jacobian, rows), lambda: jacobian
+        )
+        by_delay = -slopes[:, rows, None] * chain_slopes.delay[segment][:, KIND[rows]]
+        return shown, jacobian.at[:, :, 12 : 12 + given].add(by_delay)
+
     def one(now):
         windows, delta, begun, track, states, after, d_slow = now
 
@@ -464,8 +479,9 @@ def _each(problem: Problem, affine: Affine, knots: int):
         s_0 = jnp.concatenate([jax.jacfwd(start)(delta), jnp.zeros((13, count))], axis=1)
         _, s = jax.lax.scan(recur, s_0, (a, b))
         weight = windows.weight[:, rows]
-        jacobian = (h_x * weight[..., None]) @ s
-        jacobian = jacobian.at[:, :, 12:].add(h_z * weight[..., None]).reshape(-1, 12 + count)
+        jacobian = (h_x @ s).at[:, :, 12:].add(h_z)
+        value, jacobian = earlier(track.instant.t, track.segment, value, jacobian)
+        jacobian = (jacobian * weight[..., None]).reshape(-1, 12 + count)
         residual = (wrapped(value - windows.measured)[:, rows] * weight).reshape(-1)
         h = jacobian.T @ jacobian
         g = jacobian.T @ residual

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
-from ..physics import Drive, Late, Slide, Thrust, delayed, lagging
+from ..physics import Drive, Late, Slide, Thrust, delayed, lagging, late
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._parts import in_parts, joined, part_of
@@ -251,7 +251,10 @@ def predict(problem: Problem, theta, delta):
             plant = of_segment(plants, segment)
             return plant.readings(state, plant.acceleration(state, drive))
 
-        return jax.vmap(show)(states, track.instant, track.segment)
+        shown = jax.vmap(show)(states, track.instant, track.segment)
+        if plants.delay is None:
+            return shown
+        return late(track.instant.t, shown, plants.delay[track.segment])
 
     def some(index):
         here, moved = jax.tree.map(lambda a: a[index], (problem.windows, delta))

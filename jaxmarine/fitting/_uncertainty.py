@@ -129,3 +129,8 @@ def named(names: tuple[str, ...], vector: np.ndarray) -> tuple[tuple[str, float]
     order = np.argsort(-np.abs(vector))
     large = [k for k in order if abs(vector[k]) >= _NAMED] or [order[0]]
     return tuple((names[k], float(vector[k])) for k in large)
+
+
+def t_value(per_window: Float[np.ndarray, " windows"]) -> float:
+    """A sum over windows in standard errors of it."""
+    return float(per_window.sum() / max(np.sqrt(len(per_window)) * per_window.std(ddof=1), 1e-12))

@@ -35,6 +35,8 @@ _TITLES = {
     "velocity_misalignment": "misaligned velocity sensor",
     "velocity_in_earth_axes": "velocity logged in earth axes",
     "gyro_bias": "bias of the gyros",
+    "compass_deviation": "deviation of the compass",
+    "exchanged_thrusters": "exchanged columns of commands",
 }
 _AXIS_TITLES = {
     "added_mass": "added mass in {}",
@@ -58,6 +60,8 @@ def title(label: str) -> str:
     if name == "coupled_damping" and "<-" in target:
         pushed, moving = target.split("<-", 1)
         return f"damping in {pushed} from motion in {moving}"
+    if name == "sensor_delay" and target:
+        return f"late {target}"
     if name in ("constant_wrench", "unknown") and target:
         return f"{'constant' if name == 'constant_wrench' else 'unknown'} {_force(target)}"
     if name in _AXIS_TITLES and target:
@@ -337,6 +341,23 @@ def _gyro_bias(f: Finding, v: Vehicle) -> str:
     return f"the logged turning rates are the true ones plus a constant ({rates})"
 
 
+def _compass_deviation(f: Finding, v: Vehicle) -> str:
+    parts = [
+        f"{plus_minus(math.degrees(f.parameters[name].value), math.degrees(f.parameters[name].std))}°{times}"
+        for name, times in (("constant", ""), ("cos", " cos(psi)"), ("sin", " sin(psi)"))
+    ]
+    return f"the logged heading is the true one plus {' + '.join(parts)}"
+
+
+def _sensor_delay(f: Finding, v: Vehicle) -> str:
+    return f"the logged {f.target} comes {_pm(f, 'delay')} late"
+
+
+def _exchanged_thrusters(f: Finding, v: Vehicle) -> str:
+    first, _, second = str(f.target).partition("+")
+    return f"the columns of `{first}` and `{second}` are exchanged: each holds the other's command"
+
+
 def _unknown(f: Finding, v: Vehicle) -> str:
     return f"a {_force(f.target or '')} acts on the vehicle that no known cause explains"
 
@@ -369,6 +390,9 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "velocity_misalignment": _velocity_misalignment,
     "velocity_in_earth_axes": _velocity_in_earth_axes,
     "gyro_bias": _gyro_bias,
+    "compass_deviation": _compass_deviation,
+    "sensor_delay": _sensor_delay,
+    "exchanged_thrusters": _exchanged_thrusters,
     "unknown": _unknown,
 }
 

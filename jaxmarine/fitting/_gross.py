@@ -1,0 +1,163 @@
+"""The grossest errors first: what is wrong with signs, columns, axes and times before any number is fitted.
+
+By kinematics, whatever forces act, and by the signs with which the vehicle answers its thrusters, whatever
+their sizes are. A coefficient that bends to such an error means nothing.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .._types import DOFS
+from ..effects import (
+    CATALOGUE,
+    CompassDeviation,
+    ExchangedThrusters,
+    SensorDelay,
+    SensorEffect,
+    Suspect,
+    ThrusterGain,
+    VelocityInEarthAxes,
+    place,
+)
+from ..logs import Log
+from ..vehicle import Placed, Vehicle
+from ._kinematics import Contradiction, contradiction, kinematics, misread
+from ._responses import Reading, opposite, read_otherwise, responses
+
+# A delay is told from half a sample on, and from this on [s]: less is how times are stamped.
+_SHARE, _LEAST = 0.5, 0.05
+# A deviation is told from this on [rad]: a compass is seldom better.
+_DEVIATES = 0.03
+
+
+class GrossError(NamedTuple):
+    """What is grossly wrong, in a sentence, and the causes of the catalogue that it is; none has no name.
+
+    - `evidence` [nats]: by which it is likelier than that log and file agree.
+    """
+
+    told: str
+    causes: tuple[Placed, ...]
+    evidence: float
+
+
+def gross_errors(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
+    """What is grossly wrong with logs and vehicle file together; mostly nothing.
+
+    What is `misconnected`, and sensors that contradict one another in a way that the catalogue names: earth
+    axes, a compass that deviates, sensors that come late (`contradiction`).
+    """
+    wrong = misconnected(vehicle, logs)
+    if any(not one.causes for one in wrong):
+        return wrong
+    suspects = _sensing(vehicle)
+    found = contradiction(vehicle, logs, suspects)
+    return wrong if found is None else (*wrong, *_of_sensors(vehicle, logs, suspects, found))
+
+
+def misconnected(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
+    """Sensors of the wrong sign, axis or unit (`misread`); where there are none, columns of commands that are
+    exchanged or of the wrong sign, and axes that answer the wrong way (`read_otherwise`).
+    """
+    wrong = misread(vehicle, logs)
+    if wrong is None:
+        return _of_columns(vehicle, logs)
+    words, evidence = wrong
+    put_right = contradiction(vehicle, logs, _sensing(vehicle))
+    if put_right is not None and put_right.evidence > evidence:
+        return _of_columns(vehicle, logs)
+    told = f"{words[0].upper()}{words[1:]}: positions, attitude and velocities contradict one another."
+    return (GrossError(told, (), evidence),)
+
+
+def _sensing(vehicle: Vehicle) -> list[Suspect]:
+    sensing = [cls for cls in CATALOGUE if issubclass(cls, SensorEffect | SensorDelay)]
+    return [suspect for cls in sensing for suspect in cls.suspects(vehicle)]
+
+
+def _of_sensors(
+    vehicle: Vehicle, logs: Sequence[Log], suspects: Sequence[Suspect], found: Contradiction
+) -> tuple[GrossError, ...]:
+    suspect, values = suspects[found.suspect], found.values
+    if suspect.effect is SensorDelay:
+        if values["delay"] < max(_LEAST, _SHARE * float(np.median([log.dt for log in logs]))):
+            return ()
+        told = f"The logged {suspect.target} comes {values['delay']:.2f} s late beside the other sensors."
+    elif suspect.effect is CompassDeviation:
+        if np.hypot(values["cos"], values["sin"]) < _DEVIATES:
+            return ()
+        told = (
+            f"The logged heading deviates from the true one by {values['constant']:.2f} + {values['cos']:.2f}"
+            f" cos(psi) + {values['sin']:.2f} sin(psi) rad: swing the compass."
+        )
+    elif suspect.effect is VelocityInEarthAxes:
+        told = "The logged velocities are in earth axes: turn them into body axes."
+    else:
+        numbers = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
+        told = (
+            "Positions, attitude and velocities contradict one another as "
+            f"{suspect.label} ({numbers}) would make them."
+        )
+    cause = Placed(place(suspect, vehicle, values), suspect.target)
+    return (GrossError(told, (cause,), found.evidence),)
+
+
+def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
+    seen = responses(vehicle, logs)
+    readings = () if seen is None else read_otherwise(seen)
+    if seen is None or not readings:
+        return ()
+    agreed = _agreed(vehicle, logs)
+    # Where sensors that measure an axis twice agree, its sign is right.
+    kept = [one for one in readings if not {*one.axes} & agreed] or list(readings)
+    named = [one for one in kept if not one.axes]
+    causes = _causes(vehicle, named[0]) if named else ()
+    axes, thrusters = opposite(seen)
+    ways = ", or ".join(dict.fromkeys(_words(one) for one in kept))
+    what = (
+        f"{_listed(axes).capitalize()} answer{'s' if len(axes) == 1 else ''} opposite to {_listed(thrusters)}"
+    )
+    head = what if axes else "The vehicle does not answer its thrusters as the file says"
+    # A mirrored log is one whose sensors agree.
+    mirrored = any({*one.axes} & {"sway", "yaw"} for one in readings if one not in kept)
+    other = ", or the log is mirrored (y, psi, v and r all have the wrong sign)" if mirrored else ""
+    return (GrossError(f"{head}: {ways}{other}.", causes, readings[0].odds),)
+
+
+def _agreed(vehicle: Vehicle, logs: Sequence[Log]) -> set[str]:
+    """Axes whose sensors positions and attitude confirm, none of which was found misread."""
+    seen = kinematics(vehicle, logs)
+    if seen is None:
+        return set()
+    measured = np.asarray(np.isfinite(seen.logged).any(axis=0))
+    # A heading is confirmed by the track and velocities together, its rate by itself.
+    found = {dof for dof, known in zip(DOFS, measured, strict=True) if known}
+    return found if {"surge", "sway"} <= found else found - {"yaw"}
+
+
+def _causes(vehicle: Vehicle, reading: Reading) -> tuple[Placed, ...]:
+    """The exchanges and the gains of the wrong sign that a reading is."""
+    out = []
+    for pair in reading.exchanged:
+        target = "+".join(sorted(pair, key=vehicle.thruster_names.index))
+        out.append(Placed(ExchangedThrusters(), target))
+    gains = {suspect.target: suspect for suspect in ThrusterGain.suspects(vehicle)}
+    every = len(vehicle.thruster_names) > 1 and {*reading.turned} == {*vehicle.thruster_names}
+    for name in ("all",) if every else reading.turned:
+        out.append(Placed(place(gains[name], vehicle, {"factor": -1.0}), name))
+    return tuple(out)
+
+
+def _words(reading: Reading) -> str:
+    parts = [f"the columns of {_listed(pair)} are exchanged" for pair in reading.exchanged]
+    if reading.columns:
+        many = "columns of {} have" if len(reading.columns) > 1 else "column of {} has"
+        parts.append(f"the {many.format(_listed(reading.columns))} the wrong sign")
+    parts += [f"{axis} has the wrong sign in the log or in the file" for axis in reading.axes]
+    return " and ".join(parts)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"

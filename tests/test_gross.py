@@ -1,0 +1,217 @@
+"""The grossest errors are told before anything is fitted: by kinematics, and by signs of responses."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from experiments.blind import cases, excitation
+from experiments.blind.plant import Effect
+from experiments.blind.vehicle import load
+from jaxmarine.fitting import gross_errors, misconnected
+from jaxmarine.fitting._kinematics import contradiction, misread
+from jaxmarine.fitting._responses import read_otherwise, responses
+from tests.boats import boat, record, steps
+from tests.crafts import packaged
+
+BOAT, SECONDS = "cybership2", 120.0  # thrusters star, port and bow
+EXCHANGED = Effect("exchanged_thrusters", "star+port", {})
+
+
+@functools.cache
+def sailed(*hidden: tuple, ship: str = BOAT, seconds: float = SECONDS, seed: int = 3) -> jm.Log:
+    """A log of the independent plant with sensor noise; `hidden` as (effect, target, parameters)."""
+    truth, rng = load(ship), np.random.default_rng(seed)
+    commands = excitation.commands(truth, round(seconds / cases.DT), rng, "rich").round(6)
+    effects = [Effect(name, target, dict(values)) for name, target, values in hidden]
+    run = cases.roll_out(truth, effects, commands, 0.7)
+    channels = run.seen() + truth.noise * rng.standard_normal((len(commands), 18))
+    locked = ~np.isin(np.arange(18) % 6, truth.free)
+    channels[:, locked] = np.nan
+    return jm.Log(run.times, channels, commands, None, packaged(ship).thruster_names, "sailed.csv")
+
+
+def with_columns(log: jm.Log, order: list[int], signs: list[int]) -> jm.Log:
+    assert log.commands is not None
+    return dataclasses.replace(log, commands=log.commands[:, order] * signs)
+
+
+def names(errors) -> list[tuple[str, str | None]]:
+    return [(cause.effect.name, cause.target) for one in errors for cause in one.causes]
+
+
+# --- kinematics -----------------------------------------------------------------------------------
+
+
+@functools.cache
+def steered() -> jm.Log:
+    return record(boat(), steps(900))
+
+
+MISREAD = {
+    "u has the wrong sign": lambda c: _scaled(c, [6], -1),
+    "v has the wrong sign": lambda c: _scaled(c, [7], -1),
+    "r has the wrong sign": lambda c: _scaled(c, [11], -1),
+    "psi and r have the wrong sign": lambda c: _scaled(c, [5, 11], -1),
+    "x and y are exchanged": lambda c: c[:, [1, 0, *range(2, 18)]],
+    "the rates are in degrees": lambda c: _scaled(c, [11], np.rad2deg(1)),
+    "psi is in degrees": lambda c: _scaled(c, [5], np.rad2deg(1)),
+}
+
+
+def _scaled(channels: np.ndarray, columns: list[int], factor: float) -> np.ndarray:
+    out = channels.copy()
+    out[:, columns] *= factor
+    return out
+
+
+@pytest.mark.parametrize("words", MISREAD)
+def test_what_was_misread_is_told(words):
+    log = steered()
+    found = misread(boat(), (dataclasses.replace(log, channels=MISREAD[words](log.channels)),))
+    assert found is not None and words in found[0]
+    assert found[0].count(", or ") <= 1
+
+
+def test_sensors_that_agree_were_not_misread():
+    assert misread(boat(), (steered(),)) is None
+    assert misread(packaged(BOAT), (sailed(),)) is None
+
+
+@pytest.mark.parametrize("kind", ["position", "attitude", "velocity", "rate"])
+def test_a_late_sensor_is_told_with_its_delay(kind):
+    craft = packaged(BOAT)
+    # In 120 s a boat that turns so slowly hardly shows it.
+    log = sailed(("sensor_delay", kind, (("delay", 0.3),)), seconds=300.0)
+    errors = gross_errors(craft, (log,))
+    assert names(errors) == [("sensor_delay", kind)]
+    delay = errors[0].causes[0].effect.parameters()["delay"]
+    assert float(delay.max()) == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_compass_that_deviates_is_told_with_its_coefficients():
+    values = (("constant", 0.0), ("cos", 0.12), ("sin", -0.06))
+    (error,) = gross_errors(packaged(BOAT), (sailed(("compass_deviation", None, values)),))
+    found = error.causes[0].effect.parameters()
+    assert error.told.startswith("The logged heading deviates")
+    assert float(found["cos"]) == pytest.approx(0.12, abs=0.03)
+    assert float(found["sin"]) == pytest.approx(-0.06, abs=0.03)
+
+
+def test_nothing_is_told_of_a_log_with_nothing_wrong():
+    assert gross_errors(packaged(BOAT), (sailed(),)) == ()
+    assert contradiction(packaged(BOAT), (sailed(),), ()) is None
+
+
+# --- signs of responses ---------------------------------------------------------------------------
+
+
+def test_responses_are_those_of_the_file_where_it_is_right():
+    seen = responses(packaged(BOAT), (sailed(),))
+    assert seen is not None and seen.names == packaged(BOAT).thruster_names
+    std = np.sqrt(np.einsum("ajj->aj", seen.covariance))
+    free = seen.known
+    assert (np.abs(seen.measured - seen.filed)[free] < 5 * std[free] + 0.05).all()
+    assert read_otherwise(seen) == ()
+
+
+def test_exchanged_columns_are_told_and_named():
+    errors = misconnected(packaged(BOAT), (sailed(("exchanged_thrusters", "star+port", ())),))
+    assert names(errors) == [("exchanged_thrusters", "star+port")]
+    assert "yaw" in errors[0].told.lower() and "the columns of star and port are exchanged" in errors[0].told
+
+
+def test_a_column_of_the_wrong_sign_is_a_negative_gain():
+    errors = misconnected(packaged(BOAT), (with_columns(sailed(), [0, 1, 2], [1, 1, -1]),))
+    assert names(errors) == [("thruster_gain", "bow")]
+    assert float(errors[0].causes[0].effect.parameters()["factor"][2]) == -1.0
+
+
+def test_columns_exchanged_and_one_of_the_wrong_sign_are_told_together():
+    """The column star holds what drives port, with the wrong sign."""
+    errors = misconnected(packaged(BOAT), (with_columns(sailed(), [1, 0, 2], [-1, 1, 1]),))
+    assert names(errors) == [("exchanged_thrusters", "star+port"), ("thruster_gain", "port")]
+    assert "the column of star has the wrong sign" in errors[0].told
+
+
+def test_without_a_track_an_axis_may_be_of_the_wrong_sign_as_well():
+    """Of a boat with two thrusters astern nothing else tells that yaw was not logged the wrong way."""
+    craft = packaged(BOAT)
+    log = sailed(("exchanged_thrusters", "star+port", ()))
+    assert log.commands is not None
+    commands = log.commands * [1, 1, 0]
+    truth = load(BOAT)
+    run = cases.roll_out(truth, [EXCHANGED], commands, 0.7)
+    channels = np.where(np.isin(np.arange(18) % 6, truth.free), run.seen(), np.nan)
+    channels += truth.noise * np.random.default_rng(0).standard_normal(channels.shape)
+    whole = dataclasses.replace(log, channels=channels, commands=commands)
+    lost = dataclasses.replace(whole, channels=np.where(np.arange(18) < 3, np.nan, channels))
+    (error,), (unsure,) = misconnected(craft, (whole,)), misconnected(craft, (lost,))
+    assert names([error]) == names([unsure]) == [("exchanged_thrusters", "star+port")]
+    assert "yaw has the wrong sign" in unsure.told and "yaw has the wrong sign" not in error.told
+
+
+@pytest.mark.parametrize("name", ["thruster_gain", "input_delay", "steady_current"])
+def test_what_is_no_gross_error_is_left_alone(name):
+    hidden = {
+        "thruster_gain": ("star", (("factor", 0.0),)),
+        "input_delay": (None, (("delay", 0.6),)),
+        "steady_current": (None, (("north", 0.1), ("east", -0.1))),
+    }[name]
+    assert gross_errors(packaged(BOAT), (sailed((name, *hidden)),)) == ()
+
+
+# --- what is made of it ---------------------------------------------------------------------------
+
+
+def test_a_check_says_it_first():
+    checked = jm.check(packaged(BOAT), sailed(("exchanged_thrusters", "star+port", ())))
+    assert "star and port are exchanged" in checked.gross[0]
+    assert str(checked).startswith(f"first: {checked.gross[0]}")
+
+
+@pytest.mark.slow
+def test_a_diagnosis_names_exchanged_columns_before_anything_bends(tmp_path):
+    craft, hidden = packaged(BOAT), ("exchanged_thrusters", "star+port", ())
+    found = jm.diagnose(craft, sailed(hidden), sailed(hidden, seconds=60.0, seed=4))
+    assert [f.label for f in found.findings] == ["exchanged_thrusters:star+port"]
+    (finding,) = found.to_json()["findings"]
+    assert finding["parameters"] == {} and finding["log_evidence"] > 100
+    assert found.verdict == "explained" and found.gain.ratio < 0.5
+    assert found.vehicle.placed == ()
+    jm.save_vehicle(found.extended, tmp_path / "extended.toml")
+    (placed,) = jm.load_vehicle(tmp_path / "extended.toml").placed
+    assert (placed.effect.name, placed.target) == ("exchanged_thrusters", "star+port")
+    assert jm.check(found.extended, sailed(hidden)).gross == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "target", "values"),
+    [
+        ("sensor_delay", "velocity", {"delay": 0.3}),
+        ("sensor_delay", "position", {"delay": 0.5}),
+        ("sensor_delay", "attitude", {"delay": 0.2}),
+        ("sensor_delay", "rate", {"delay": 0.2}),
+        ("compass_deviation", None, {"constant": 0.05, "cos": 0.1, "sin": 0.05}),
+        ("compass_deviation", None, {"constant": 0.0, "cos": 0.03, "sin": -0.04}),
+    ],
+)
+def test_a_diagnosis_names_sensors_that_deviate_or_lag(name, target, values):
+    hidden = (name, target, tuple(values.items()))
+    found = jm.diagnose(packaged(BOAT), sailed(hidden), sailed(hidden, seconds=60.0, seed=4))
+    (finding,) = found.findings
+    assert (finding.effect, finding.target) == (name, target)
+    for key, value in values.items():
+        one = finding.parameters[key]
+        assert one.value == pytest.approx(value, abs=4 * one.std + 0.1 * abs(value))
+
+
+def test_beside_an_axis_that_was_misread_no_name_is_believed():
+    log, test = sailed(), sailed(seconds=60.0, seed=4)
+    log, test = (dataclasses.replace(one, channels=_scaled(one.channels, [7], -1)) for one in (log, test))
+    found = jm.diagnose(packaged(BOAT), log, test)
+    assert not any(one.named for one in found.findings)
+    assert found.notes[0].startswith("V has the wrong sign")
