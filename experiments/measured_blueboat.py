@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import jax
+import jax.numpy as jnp
 import matplotlib
 
 matplotlib.use("Agg")
@@ -75,7 +76,7 @@ def started(vehicle: jm.Vehicle, log: jm.Log) -> jm.State:
     true = channels.copy()
     for _ in range(2):  # once is enough for sensors that add what does not depend on what they show
         state = jm.initial_state(vehicle, true[:3], true[3:6], true[6:12])
-        shown = np.asarray(vehicle.plant().readings(state, np.zeros(6)))
+        shown = np.asarray(vehicle.plant().readings(state, jnp.zeros(6)))
         true = true + np.where(np.isfinite(log.channels[0]), channels - shown, 0.0)
     return jm.initial_state(vehicle, true[:3], true[3:6], true[6:12])
 

@@ -259,6 +259,8 @@ def set_free(
     if {"added_mass", "body.matrix"} <= set(names):
         raise ValueError("Free `added_mass` or `body.matrix`: a log shows only their sum.")
     stds = _stated(prior, [leaves[place] for place in places], free, vehicle)
+    # A width relative to a number is one of its logarithm.
+    relative = isinstance(prior, float | int)
     parts, sizes, widths, known = [], [], [], []
     for place, path, name, std in zip(places, paths, names, stds, strict=True):
         leaf, held = leaves[place], std == 0.0
@@ -270,23 +272,25 @@ def set_free(
             size = np.sqrt(np.outer(*[np.diag(vehicle.mass_matrix)] * 2)).ravel()[flat]
         elif name in ("damping.linear", "damping.quadratic"):
             mask = _mask(vehicle, leaf, entries, dissipative) & ~held
-            make = _plain if linear else _dissipative if dissipative else _braking
+            make = _dissipative if dissipative else _braking if relative and not linear else _plain
             part = make(vehicle, name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif name in _THRUSTS and not held.all():
+        elif name in _THRUSTS and relative:
             if name == "thrusters.max_thrust_reverse":
-                # Where the file states none it is fitted by itself from there on, or held to be `max_thrust`.
-                leaf = np.where(held, leaf, vehicle.thrusters.reverse)
-            flat, labels = np.flatnonzero(~held), _labels(vehicle, name, np.asarray(leaf))
-            part = _magnitudes(np.asarray(leaf), flat, [labels[k] for k in flat], np.ones(len(flat), bool))
-            size = np.asarray(leaf).ravel()[flat]
+                # Where the file states none it is fitted by itself from there on.
+                leaf = vehicle.thrusters.reverse
+            flat, labels = np.arange(leaf.size), _labels(vehicle, name, np.asarray(leaf))
+            part = _magnitudes(np.asarray(leaf), flat, labels, np.ones(len(flat), bool))
+            size = np.asarray(leaf)
         else:
+            if name == "thrusters.max_thrust_reverse":
+                leaf = np.where(held, leaf, vehicle.thrusters.reverse)
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
             flat = _places_of(part)
             value = np.abs(np.asarray(leaf).ravel()[flat])
             size = np.where(value > 0, value, 1.0)
-        width = std.ravel()[flat] if not isinstance(prior, float | int) else float(prior) * size
+        width = float(prior) * size if isinstance(prior, float | int) else std.ravel()[flat]
         if (width == 0).any():
             raise ValueError(
                 f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "
@@ -495,7 +499,7 @@ def _plain(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> E
 def _braking(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Magnitudes:
     del vehicle
     rows, columns = np.nonzero(mask)
-    names = [_entry(name, i, j, "<-") for i, j in zip(rows, columns, strict=True)]
+    names = [_entry(name, int(i), int(j), "<-") for i, j in zip(rows, columns, strict=True)]
     return _magnitudes(leaf, 6 * rows + columns, names, rows == columns)
 
 

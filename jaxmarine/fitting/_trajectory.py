@@ -128,9 +128,10 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
     windows = task.problem.windows
     own, delta = np.asarray(windows.weight), jnp.zeros((windows.count, 12))
     most = largest(np.asarray(windows.measured), own) if weigh else np.ones(own.shape[2])
-    factor, last, steps = most, not weigh, 0
-    for weighing in range(_WEIGHINGS):
-        last = last or weighing == _WEIGHINGS - 1
+    factor, last, steps, weighings = most, not weigh, 0, 0
+    while True:
+        weighings += 1
+        last = last or weighings == _WEIGHINGS
         weighed = _with_weight(task, scaled(own, factor, dt))
         if reject:
             weighed, z, delta = _without_costly(weighed, z, delta)
