@@ -279,7 +279,7 @@ def worst_channel(case: Case, rounds: int) -> Row:
     """The axis of the channel that the file as it is fits worst, positions north and east left aside."""
     del rounds
     bench = case.bench()
-    missed = bench.residual_rms(bench.refine(bench.frozen(bench.start())))
+    missed = bench.noise_left(bench.refine(bench.frozen(bench.start()))) / bench.own_noise
     missed[[CHANNELS.index("x"), CHANNELS.index("y")]] = np.nan
     worst = int(np.nanargmax(missed))
     return said([("axis", DOFS[worst % 6])] if missed[worst] > BAD else [])

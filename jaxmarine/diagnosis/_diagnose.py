@@ -136,7 +136,7 @@ def _searched(
         return bench, rival, found, ()
     progress(AGAIN)
     rival, first = Unnamed(sharper), found.model
-    found = search(sharper, sharper.fitted(begun), progress, rival.beats)
+    found = search(sharper, sharper.fitted(first), progress, rival.beats)
     return sharper, rival, found, gone(sharper, first, found.model, SHARPER)
 
 

@@ -27,12 +27,16 @@ from ..fitting import (
     Task,
     coefficient_name,
     evaluated,
+    largest,
     measured_channels,
+    overdispersion,
     predict,
     refine_windows,
+    scaled,
     screening,
     segments,
     start_precision,
+    wrapped,
 )
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
@@ -397,16 +401,25 @@ class Workbench:
         theta, plant_of = self.theta(model)[last], self.problem(model.members).plant_of
         return np.asarray(_water(plant_of, jnp.asarray(theta), jnp.asarray(last)))
 
-    def residual_rms(self, model: Model) -> np.ndarray:
-        """Root mean square residual of each channel in the median window, in units of its noise.
+    @property
+    def _own_weight(self) -> Float[np.ndarray, "windows steps 18"]:
+        """One over the noise of the sensors alone, 0 where nothing was measured."""
+        return np.where(np.asarray(self.data.windows.weight) > 0, np.nan_to_num(1.0 / self.own_noise), 0.0)
 
-        NaN where a channel was not measured.
+    def largest_noise(self) -> Float[np.ndarray, "18"]:
+        """Noise per channel at which it tells no more than that it stays as it is within a window."""
+        return largest(np.asarray(self.data.windows.measured), self._own_weight) * self.own_noise
+
+    def noise_left(self, model: Model) -> Float[np.ndarray, "18"]:
+        """Noise per channel that the model leaves over the windows, of samples that are worth one each.
+
+        That of the sensors where it is no more; see `fitting._weights`.
         """
-        problem = self.problem(model.members)
-        residual = np.asarray(predict(problem, jnp.asarray(self.theta(model)), model.delta)[1])
-        missing = np.asarray(problem.windows.weight) == 0
-        squares = np.ma.masked_array(residual, missing | ~np.isfinite(residual)) ** 2
-        return np.sqrt(np.ma.median(squares.mean(axis=1), axis=0).filled(np.nan))
+        channels = predict(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)[0]
+        windows, own = self.data.windows, self._own_weight
+        error = np.asarray(wrapped(np.asarray(channels)[: self.count] - np.asarray(windows.measured)))
+        most = self.largest_noise() / self.own_noise
+        return overdispersion(error * own, own, np.nan_to_num(most, nan=1.0)) * self.own_noise
 
     def as_connected(self) -> "Workbench":
         """The same with the columns as the vehicle file has them."""
@@ -414,10 +427,10 @@ class Workbench:
         return Workbench(self.filed, self.families, self.layout, data, self.noise, split, self.own_noise)
 
     def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
-        """The same with another noise of its channels."""
-        windows = self.data.windows
-        weight = np.asarray(windows.weight) * np.nan_to_num(self.noise / noise, nan=1.0)
-        windows = dataclasses.replace(windows, weight=jnp.asarray(weight))
+        """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""
+        factor = np.nan_to_num(noise / self.own_noise, nan=1.0)
+        weight = scaled(self._own_weight, factor, self.data.logs[0].dt)
+        windows = dataclasses.replace(self.data.windows, weight=jnp.asarray(weight))
         data = dataclasses.replace(self.data, windows=windows)
         return Workbench(
             self.vehicle, self.families, self.layout, data, noise, self.split, self.own_noise, self.filed

@@ -10,14 +10,13 @@ from .._errors import InputError
 from .._progress import FITTING, Progress, silent
 from .._types import CHANNELS
 from ..effects import AbstractEffect, ExchangedThrusters
-from ..fitting import GrossError, contradiction, cut, misconnected, noise_of, reviewed
+from ..fitting import GrossError, contradiction, cut, misconnected, noise_of, reviewed, settled
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
-from ._search import dispersion
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
@@ -28,6 +27,8 @@ SLOWEST = 2.0  # [s] between samples
 FEWEST = 6  # windows of a diagnosis
 # A noise that is estimated anew counts where it is so many times smaller.
 NEWS = 1.5
+# Noises that are estimated anew, each by what the one before leaves, so many times at most.
+WEIGHINGS = 8
 
 
 def _window(logs: Sequence[Log], window: float | None) -> float:
@@ -235,7 +236,7 @@ def begun_with(bench: Workbench, causes: Sequence[Placed] = ()) -> tuple[Model, 
 
 
 def rescaled(bench: Workbench, begun: Model) -> Workbench:
-    """The workbench with the noise of sensors that the file does not state raised to the residual.
+    """The workbench with the noise of sensors that the file does not state raised to what the file leaves.
 
     A filtered measurement looks far less noisy than any model can predict it; weighted by that noise it
     would outweigh all others. From what a channel changes by within a window, which is the most that it
@@ -244,15 +245,10 @@ def rescaled(bench: Workbench, begun: Model) -> Workbench:
     free = _unstated(bench)
     if not free:
         return bench
-    own = bench.noise[free]
-    seen = np.asarray(bench.data.windows.weight) > 0
-    values = np.ma.masked_array(bench.data.windows.measured, ~seen)
-    most = np.fmax(own, values.std(axis=1).mean(axis=0).filled(0.0)[free])
-    bench = _weighted(bench, free, most)
+    bench = _weighted(bench, free, bench.largest_noise())
     for model in (bench.frozen(begun), begun):
-        missed = (bench.residual_rms(bench.refine(model)) * bench.noise)[free]
-        bench = _weighted(bench, free, np.fmin(most, np.fmax(own, missed)))
-    return _scattered(bench, free, bench.fitted(begun))
+        bench = _weighted(bench, free, bench.noise_left(bench.refine(model)))
+    return bench
 
 
 def sharpened(bench: Workbench, model: Model) -> Workbench | None:
@@ -263,25 +259,21 @@ def sharpened(bench: Workbench, model: Model) -> Workbench | None:
     free = _unstated(bench)
     if not free or not model.members:
         return None
-    missed = (bench.residual_rms(model) * bench.noise)[free]
-    least = np.fmin(bench.noise[free], np.fmax(bench.own_noise[free], missed))
-    if (bench.noise[free] < NEWS * least).all():
+    least = np.fmin(bench.noise, bench.noise_left(model))
+    if (bench.noise < NEWS * least)[free].all():
         return None
-    sharper = _weighted(bench, free, least)
-    return _scattered(sharper, free, sharper.refine(model))
-
-
-def _scattered(bench: Workbench, channels: list[int], model: Model) -> Workbench:
-    """The workbench with noises raised for residuals that are alike from sample to sample.
-
-    Each then weighs as little against the priors as their scores scatter.
-    """
-    alike = np.sqrt(dispersion(bench, model, bench.screen(model)))
-    return _weighted(bench, channels, alike * bench.noise[channels])
+    # Refined with other weights the model leaves less of what these had hidden.
+    for _ in range(WEIGHINGS):
+        bench, before = _weighted(bench, free, least), least
+        model = bench.refine(model)
+        least = np.fmin(before, bench.noise_left(model))
+        if settled(before[free], least[free]):
+            break
+    return bench
 
 
 def _weighted(bench: Workbench, channels: list[int], noise: np.ndarray) -> Workbench:
     """The workbench with another noise of some channels."""
     now = bench.noise.copy()
-    now[channels] = noise
+    now[channels] = noise[channels]
     return bench.reweighed(now)

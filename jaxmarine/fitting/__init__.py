@@ -106,6 +106,10 @@ from ._trajectory import segments as segments
 from ._uncertainty import Combination as Combination
 from ._uncertainty import Parameter as Parameter
 from ._uncertainty import t_value as t_value
+from ._weights import largest as largest
+from ._weights import overdispersion as overdispersion
+from ._weights import scaled as scaled
+from ._weights import settled as settled
 from ._windows import Cut as Cut
 from ._windows import Records as Records
 from ._windows import Room as Room

@@ -81,6 +81,6 @@ def overdispersion(
     return np.sqrt(np.maximum(size * alike, 1.0))
 
 
-def settled(before: Float[np.ndarray, "18"], after: Float[np.ndarray, "18"]) -> bool:
-    """Whether factors have hardly changed."""
+def settled(before: Float[np.ndarray, " channels"], after: Float[np.ndarray, " channels"]) -> bool:
+    """Whether noises, or their factors, have hardly changed."""
     return bool(np.abs(np.log(after / before)).max() < np.log1p(_SETTLED))
