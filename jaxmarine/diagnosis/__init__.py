@@ -15,6 +15,9 @@ from ._result import (
     Diagnosis as Diagnosis,
 )
 from ._result import (
+    Excess as Excess,
+)
+from ._result import (
     Finding as Finding,
 )
 from ._result import (

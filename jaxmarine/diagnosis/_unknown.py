@@ -27,8 +27,8 @@ SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
 LEAST = 10.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Share of what is left beyond the noise that is most of it: then a dependence on measured velocities speaks
-# for itself.
+# Share of what is left beyond the noise that is most of it: of all axes, then a dependence on measured
+# velocities speaks for itself; of what a free force on one axis would save, then fewer windows prove it.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
@@ -225,6 +225,12 @@ class _Ledger:
             self._constants[axis] = self._predicted(axis, np.zeros((*self.y.shape[:2], 0)))[1]
         return self._constants[axis]
 
+    def left(self, axis: int) -> float:
+        """Chi-square that a free force on an axis saves."""
+        free = self.y[..., axis]
+        without, best = self.chi2(axis, np.stack([np.zeros_like(free), free])).sum(axis=1)
+        return float(without - best)
+
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
         self._constants.clear()
@@ -321,7 +327,9 @@ def dependences(
         left.remove(axis)
         excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
         plain = 0.0 < MOST_OF * excess < gain.sum()
-        if t_value(gain) < (SIGMAS_OF_MOST if plain else SIGMAS):
+        # Few windows with a large force and many with a small one scatter more than any noise.
+        most = plain or gain.sum() > MOST_OF * ledger.left(axis)
+        if t_value(gain) < (SIGMAS_OF_MOST if most else SIGMAS):
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed)):
             continue
