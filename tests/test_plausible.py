@@ -13,6 +13,7 @@ import jaxmarine as jm
 from experiments.blind import cases
 from experiments.blind.plant import Outside
 from experiments.blind.vehicle import load
+from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import MissingWrench
 from jaxmarine.diagnosis._plausible import excesses, full_thrust, told
 from jaxmarine.effects import AddedMass, ConstantWrench, LinearDamping, ThrusterGain
@@ -120,7 +121,7 @@ def test_a_body_without_thrust_has_nothing_to_compare_with_but_a_log_of_wrenches
     towed = dataclasses.replace(boat(), thrusters=thrusters)
     assert excesses(missing(rng, force, 0), (towed,), logs(), 1.0) == ()
     for most, expected in (60.0, ["surge"]), (140.0, []):
-        pushed = [dataclasses.replace(log, wrench=np.full((601, 6), most)) for log in logs()]
+        pushed = [dataclasses.replace(log, commands=None, wrench=np.full((601, 6), most)) for log in logs()]
         found = excesses(missing(rng, force, 0), (towed,), pushed, 1.0)
         assert [one.target for one in found] == expected
 
@@ -141,11 +142,12 @@ PUSHES = {
 }
 
 
-def pushed(t: float, s: np.ndarray, nu: np.ndarray) -> np.ndarray:
+def pushed(t: np.ndarray | float, s: np.ndarray, nu: np.ndarray) -> np.ndarray:
+    """Wrench [6, times] of the other hand at one time or at several."""
+    del s
+    steps = np.array([(0.0, 0.0, 0.0), *PUSHES.values()])
     out = np.zeros_like(nu)
-    now = [push for begin, push in PUSHES.items() if t >= FAILS + begin - 1e-9]
-    if now:
-        out[[0, 1, 5]] = np.array(now[-1])[:, None]
+    out[[0, 1, 5]] = steps[np.searchsorted(FAILS + np.array([*PUSHES]) - 1e-9, np.atleast_1d(t))].T
     return out
 
 
@@ -170,21 +172,21 @@ def test_a_boat_that_stops_following_its_commands_is_not_called_disturbed():
     late = log.t >= FAILS
     assert log.commands is not None
     truth = -log.commands @ craft.allocation.T
-    truth += np.array([pushed(t, np.zeros((13, 1)), np.zeros((6, 1)))[:, 0] for t in log.t])
+    truth += pushed(log.t, np.zeros((13, len(log.t))), np.zeros((6, len(log.t)))).T
     found = {one.target: one.excess for one in diagnosis.findings if one.excess is not None}
     assert found
     for dof, excess in found.items():
-        true = truth[late, {"surge": 0, "yaw": 5}[dof]]
+        true = truth[late, DOFS.index(str(dof))]
         assert excess.begin == pytest.approx(FAILS, abs=1.5) and excess.end > LENGTH - 2.0
         assert excess.rms == pytest.approx(np.sqrt((true**2).mean()), rel=0.25)
         assert any(note.startswith(f"{dof}: from") for note in diagnosis.notes)
 
 
 def test_a_boat_in_gusts_is_called_disturbed():
-    """Of an eighth of the full thrust in surge."""
+    """Of a twelfth of the full thrust in surge."""
     share = 0.5 / cases.typical(load(SHIP), "rich").wrench[0]
     diagnosis, _ = diagnosed([], disturbance=share)
     assert diagnosis.verdict == "nothing_found" and not diagnosis.white
     assert not diagnosis.findings
     wrench, std = diagnosis.missing_after.wrench[:, 0], diagnosis.missing_after.std[:, 0]
-    assert np.sqrt((wrench**2 - std**2).mean()) > 0.1 * full_thrust(diagnosis.vehicle)[0]
+    assert np.sqrt((wrench**2 - std**2).mean()) > 0.07 * full_thrust(diagnosis.vehicle)[0]

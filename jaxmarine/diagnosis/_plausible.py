@@ -6,6 +6,7 @@ from collections.abc import Container, Sequence
 import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy import stats
 
 from .._types import DOFS
 from ..logs import Log
@@ -20,8 +21,8 @@ STEERABLE = 1 / 2
 # What begins or ends within a log is larger over a part of it than over the whole [s]; what is over sooner
 # may be a wave or a collision.
 STRETCH = 3.0
-# Standard errors by which the mean square over a stretch must be larger: logs have hundreds of stretches.
-SIGMAS = 5.0
+# Probability that noise alone feigns as much over a stretch: a long log has thousands of them.
+CHANCE = 1e-7
 
 
 def full_thrust(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
@@ -75,9 +76,8 @@ def _largest(
         count = min(max(1, round(STRETCH / knot)), len(t))
         # The estimate of a force has its noise in it, whose size is known.
         squares = wrench**2 - std**2
-        mean = sliding_window_view(squares, count).mean(axis=1)
-        doubt = np.sqrt(2 * sliding_window_view(std**4, count).sum(axis=1)) / count
-        times = (mean - SIGMAS * doubt) / bound**2
+        most_noise = stats.chi2.isf(CHANCE, count) / count * std**2
+        times = sliding_window_view(wrench**2 - most_noise, count).mean(axis=1) / bound**2
         if times.max() <= worst:
             continue
         worst, at = times.max(), int(np.argmax(times))

@@ -28,7 +28,7 @@ LEAST = 10.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
 # Share of what is left beyond the noise that is most of it: of all axes, then a dependence on measured
-# velocities speaks for itself; of what a free force on one axis would save, then fewer windows prove it.
+# velocities speaks for itself; of what a free force on its axis would save, then its windows need not be alike.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
@@ -327,11 +327,10 @@ def dependences(
         left.remove(axis)
         excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
         plain = 0.0 < MOST_OF * excess < gain.sum()
-        # Few windows with a large force and many with a small one scatter more than any noise.
-        most = plain or gain.sum() > MOST_OF * ledger.left(axis)
-        if t_value(gain) < (SIGMAS_OF_MOST if most else SIGMAS):
+        most = gain.sum() > MOST_OF * ledger.left(axis)
+        if _sigmas(gain, most) < (SIGMAS_OF_MOST if plain else SIGMAS):
             continue
-        if not (plain or _causal(ledger, axis, names, gain, undisturbed)):
+        if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
         shapes = (ledger.shapes.of(names, heads) for heads in (2, 4))
@@ -374,16 +373,31 @@ def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float)
     return (Dependence(axis, (best,), tied, saved, empty, remembers=False),) if enough else ()
 
 
+def _sigmas(gain: Float[np.ndarray, " windows"], most: bool) -> float:
+    """Standard errors by which a dependence helps on left-out windows.
+
+    What explains nearly all of a force that is large in few windows saves most there, and the more it saves
+    the more its savings scatter. Where it is `most`, their roots count as well, which go with the force.
+    """
+    roots = np.sign(gain) * np.sqrt(np.abs(gain))
+    return max(t_value(gain), t_value(roots)) if most else t_value(gain)
+
+
 def _causal(
-    ledger: _Ledger, axis: int, names: tuple[str, ...], gain: np.ndarray, undisturbed: Signals | None
+    ledger: _Ledger,
+    axis: int,
+    names: tuple[str, ...],
+    gain: np.ndarray,
+    undisturbed: Signals | None,
+    most: bool,
 ) -> bool:
-    """Whether a dependence also shows on velocities that no disturbance has moved."""
+    """Whether a dependence also shows on velocities that no disturbance has moved; `most`: as of `_sigmas`."""
     if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
         return True
     places = ledger.k.places
     moved = dataclasses.replace(places, signals=places.signals | undisturbed)
     saved = ledger.saved(axis, _Shapes(moved).of(names))
-    return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
+    return bool(_sigmas(saved, most) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 
 def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
