@@ -58,7 +58,7 @@ def coloured(rng: np.random.Generator, memory: float, rms: float) -> np.ndarray:
 
 def test_full_thrust_is_the_sum_of_all_thrusters_on_an_axis():
     np.testing.assert_allclose(full_thrust(boat()), [SURGE, SWAY, 0, 0, 0, YAW], atol=1e-12)
-    weak = boat().place(jm.Placed(ThrusterGain(np.array([1.0, 0.25, 1.0]))))
+    weak = boat().place(jm.Placed(ThrusterGain(jnp.array([1.0, 0.25, 1.0]))))
     np.testing.assert_allclose(full_thrust(weak)[0], 50.0)
 
 
@@ -89,7 +89,7 @@ def test_a_push_across_is_compared_with_the_thrust_of_the_strongest_axis():
     (one,) = excesses(missing(rng, across, 1), (boat(),), logs(), 1.0)
     assert one.target == "sway" and one.excess is not None and one.excess.strongest == "surge"
     # A thruster that has failed calms no sea, and one that was found to be stronger than filed braves more.
-    weak, strong = (boat().place(jm.Placed(ThrusterGain(np.full(3, gain)))) for gain in (0.1, 2.0))
+    weak, strong = (boat().place(jm.Placed(ThrusterGain(jnp.full(3, gain)))) for gain in (0.1, 2.0))
     assert excesses(missing(rng, across, 1), (boat(), weak), logs(), 1.0)
     assert excesses(missing(rng, across, 1), (boat(), strong), logs(), 1.0) == ()
 
@@ -167,14 +167,14 @@ def diagnosed(hidden: list, **options) -> tuple[jm.Diagnosis, jm.Log]:
 def test_a_boat_that_stops_following_its_commands_is_not_called_disturbed():
     stops = Outside("taken over", ("surge", "yaw"), ("t",), pushed, deaf)
     diagnosis, log = diagnosed([stops])
-    assert diagnosis.verdict in ("unexplained", "partly_explained")
+    assert diagnosis.verdict == "unexplained" and diagnosis.depends_on == ()
     craft = load(SHIP)
     late = log.t >= FAILS
     assert log.commands is not None
     truth = -log.commands @ craft.allocation.T
     truth += pushed(log.t, np.zeros((13, len(log.t))), np.zeros((6, len(log.t)))).T
     found = {one.target: one.excess for one in diagnosis.findings if one.excess is not None}
-    assert found
+    assert set(found) == {"surge", "yaw"}
     for dof, excess in found.items():
         true = truth[late, DOFS.index(str(dof))]
         assert excess.begin == pytest.approx(FAILS, abs=1.5) and excess.end > LENGTH - 2.0

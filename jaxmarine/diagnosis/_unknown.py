@@ -28,7 +28,7 @@ LEAST = 10.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
 # Share of what is left beyond the noise that is most of it: of all axes, then a dependence on measured
-# velocities speaks for itself; of what a free force on its axis would save, then its windows need not be alike.
+# velocities speaks for itself; of what a free force on its axis saves, then windows need not be alike.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
@@ -327,7 +327,7 @@ def dependences(
         left.remove(axis)
         excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
         plain = 0.0 < MOST_OF * excess < gain.sum()
-        most = gain.sum() > MOST_OF * ledger.left(axis)
+        most = bool(gain.sum() > MOST_OF * ledger.left(axis))
         if _sigmas(gain, most) < (SIGMAS_OF_MOST if plain else SIGMAS):
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
@@ -391,7 +391,7 @@ def _causal(
     undisturbed: Signals | None,
     most: bool,
 ) -> bool:
-    """Whether a dependence also shows on velocities that no disturbance has moved; `most`: as of `_sigmas`."""
+    """Whether a dependence also shows on velocities that no disturbance has moved; `most`: see `_sigmas`."""
     if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
         return True
     places = ledger.k.places

@@ -27,8 +27,8 @@ def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOG
         begin, end = (number(t - e.log_begin, 4) for t in (e.begin, e.end))
         return (
             f"See what happened from {begin} to {end} s after the start of `{e.log}`: commands that were not "
-            "acted on (another hand at the sticks, power or link lost), a line, the bottom or another craft, or "
-            "sensors that were wrong. The extended vehicle lacks it: diagnose the log without that part."
+            "acted on (another hand at the sticks, power or link lost), a line, the bottom or another craft, "
+            "or sensors that were wrong. The extended vehicle lacks it: diagnose the log without that part."
         )
     if not finding.named:
         look = (
