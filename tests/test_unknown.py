@@ -110,6 +110,24 @@ def test_the_signals_of_a_missing_force_are_named(names, force):
     assert set(found.signals) == set(names)
 
 
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_force_that_is_large_in_few_windows_is_blamed_on_all_harmonics_of_the_heading(seed):
+    """Savings of 2.5 and 3.2 standard errors, though they are nearly all that can be saved."""
+    rng = np.random.default_rng(seed)
+    signals = {name: drift(rng, 4.0) for name in ("z", "w", "port")}
+    signals["u"] = drift(rng, 8.0)
+    signals["u"] *= np.abs(signals["u"])
+    signals["psi"] = np.cumsum(0.2 + 0.3 * drift(rng, 8.0).ravel()).reshape(SHAPE)
+    turns = np.arange(1, 7) * signals["psi"][..., None] + rng.uniform(0.0, 6.0, 6)
+    force = 0.5 * signals["u"] * np.cos(turns).sum(-1)
+    looked_at = knots_with(force, signals, rng)
+    (found,) = dependences(looked_at, 1.0, {"u": signals["u"]})
+    assert set(found.signals) == {"psi", "u"}
+    # With its sign drawn afresh for each window it goes with nothing, however large it is in few.
+    erratic = np.abs(force) * rng.choice([-1.0, 1.0], (WINDOWS, 1))
+    assert dependences(knots_with(erratic, signals, rng), 1.0) == ()
+
+
 def test_a_force_that_depends_on_nothing_is_not_blamed_on_a_signal():
     rng = np.random.default_rng(4)
     signals = {name: drift(rng, 4.0) for name in ("z", "u", "w", "port")}

@@ -18,6 +18,9 @@ from ._result import (
     Dropped as Dropped,
 )
 from ._result import (
+    Excess as Excess,
+)
+from ._result import (
     Finding as Finding,
 )
 from ._result import (

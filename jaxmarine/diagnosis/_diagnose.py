@@ -20,6 +20,7 @@ from ._judge import Judged, judged
 from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
+from ._plausible import excesses, told
 from ._prepare import opened_with, sharpened
 from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
@@ -77,6 +78,11 @@ def diagnose(
     findings = _exchanges(connected, now, opened.exchanged) + findings_of(bench, now, rounds, std)
     logs, tests = bench.data.logs, opened.tests
     apart = None if now.white else disagreement(extended, logs, bench.noise)
+    missing = missing_wrench(now.knots)
+    unexplained = _unexplained(answer, terms)
+    if not now.white:
+        known = {one.target for one in unexplained}
+        unexplained += excesses(missing, (vehicle, extended), logs, now.phi, known, bench.quiet)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
         (True, False): "explained",
@@ -84,8 +90,8 @@ def diagnose(
         (False, True): "unexplained",
     }
     diagnosis = Diagnosis(
-        verdict=verdicts[bool(findings), bool(answer.unknown)],
-        findings=findings + _unexplained(answer, terms),
+        verdict=verdicts[bool(findings), bool(unexplained)],
+        findings=findings + unexplained,
         gain=measured[0],
         white=now.white,
         depends_on=tuple(dict.fromkeys(name for one in answer.unknown for name in one.signals)),
@@ -100,7 +106,7 @@ def diagnose(
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
         missing_before=missing_wrench(rival.judged.knots),
-        missing_after=missing_wrench(now.knots),
+        missing_after=missing,
         catalogue=tuple(catalogue),
         check=bench.check(now.model),
         train=tuple(log.name for log in logs),
@@ -283,6 +289,7 @@ def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:
         for one in answer.unknown
         if one.tied
     ]
+    notes += [told(one) for one in diagnosis.findings if one.excess is not None]
     if diagnosis.contradicted is not None:
         notes.append(diagnosis.contradicted)
     if diagnosis.far:

@@ -441,6 +441,11 @@ class Workbench:
         """Whether a channel counts for less than its sensor's own noise asks for: more than that is left."""
         return bool(np.nanmax(self.noise / self.own_noise) > RAISED)
 
+    @property
+    def quiet(self) -> float:
+        """The sensors' own noise over the one that is used, of the channel that was raised least."""
+        return float(np.nanmax(self.own_noise / self.noise))
+
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.
 

@@ -47,6 +47,26 @@ class Alternative:
 
 
 @dataclasses.dataclass(frozen=True)
+class Excess:
+    """A missing force that is larger than a disturbance can be, and when it acts.
+
+    - `begin`, `end`: by the clock of the log [s]; `log_begin`: where that log begins.
+    - `rms`, `peak`: in `unit`, over half seconds and beyond the noise; `share`: that rms over the full thrust
+      in `strongest`, the axis on which thrusters push hardest (of forces, or of moments).
+    """
+
+    log: str
+    begin: float
+    end: float
+    log_begin: float
+    rms: float
+    peak: float
+    unit: str
+    share: float
+    strongest: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Finding:
     """One cause: what it is, where, since when, how large, how sure.
 
@@ -55,6 +75,7 @@ class Finding:
     - `log_evidence` [nats]: logarithm of the Bayes factor of the model with it over the one without it; of an
       unknown force half the chi-square that it saves, over its dispersion.
     - `signals`: on which an unknown force depends; `learned`: whether the extended vehicle carries it.
+    - `excess`: of an unknown force that depends on no signal, how much more it is than a disturbance can be.
     """
 
     effect: str
@@ -66,6 +87,7 @@ class Finding:
     alternatives: tuple[Alternative, ...] = ()
     signals: tuple[str, ...] = ()
     learned: bool = False
+    excess: Excess | None = None
 
     @property
     def label(self) -> str:
@@ -367,6 +389,8 @@ class Diagnosis:
                 del out["since_log"]
             if f.named:
                 del out["signals"], out["learned"]
+            if f.excess is None:
+                del out["excess"]
             return out
 
         return {

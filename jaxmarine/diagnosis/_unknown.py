@@ -27,8 +27,8 @@ SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
 LEAST = 10.0
 # Share of the saving by which one more signal must help.
 SHARE = 0.05
-# Share of what is left beyond the noise that is most of it: then a dependence on measured velocities speaks
-# for itself.
+# Share of what is left beyond the noise that is most of it: of all axes, then a dependence on measured
+# velocities speaks for itself; of what a free force on its axis saves, then windows need not be alike.
 MOST_OF = 0.7
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
@@ -225,6 +225,12 @@ class _Ledger:
             self._constants[axis] = self._predicted(axis, np.zeros((*self.y.shape[:2], 0)))[1]
         return self._constants[axis]
 
+    def left(self, axis: int) -> float:
+        """Chi-square that a free force on an axis saves."""
+        free = self.y[..., axis]
+        without, best = self.chi2(axis, np.stack([np.zeros_like(free), free])).sum(axis=1)
+        return float(without - best)
+
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
         self._constants.clear()
@@ -321,9 +327,10 @@ def dependences(
         left.remove(axis)
         excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
         plain = 0.0 < MOST_OF * excess < gain.sum()
-        if t_value(gain) < (SIGMAS_OF_MOST if plain else SIGMAS):
+        most = bool(gain.sum() > MOST_OF * ledger.left(axis))
+        if _sigmas(gain, most) < (SIGMAS_OF_MOST if plain else SIGMAS):
             continue
-        if not (plain or _causal(ledger, axis, names, gain, undisturbed)):
+        if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
         # What its few shapes leave would look like a force on an axis that this one is coupled to.
         shapes = (ledger.shapes.of(names, heads) for heads in (2, 4))
@@ -366,16 +373,31 @@ def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float)
     return (Dependence(axis, (best,), tied, saved, empty, remembers=False),) if enough else ()
 
 
+def _sigmas(gain: Float[np.ndarray, " windows"], most: bool) -> float:
+    """Standard errors by which a dependence helps on left-out windows.
+
+    What explains nearly all of a force that is large in few windows saves most there, and the more it saves
+    the more its savings scatter. Where it is `most`, their roots count as well, which go with the force.
+    """
+    roots = np.sign(gain) * np.sqrt(np.abs(gain))
+    return max(t_value(gain), t_value(roots)) if most else t_value(gain)
+
+
 def _causal(
-    ledger: _Ledger, axis: int, names: tuple[str, ...], gain: np.ndarray, undisturbed: Signals | None
+    ledger: _Ledger,
+    axis: int,
+    names: tuple[str, ...],
+    gain: np.ndarray,
+    undisturbed: Signals | None,
+    most: bool,
 ) -> bool:
-    """Whether a dependence also shows on velocities that no disturbance has moved."""
+    """Whether a dependence also shows on velocities that no disturbance has moved; `most`: see `_sigmas`."""
     if undisturbed is None or not set(names) & {*VELOCITY, *RATE}:
         return True
     places = ledger.k.places
     moved = dataclasses.replace(places, signals=places.signals | undisturbed)
     saved = ledger.saved(axis, _Shapes(moved).of(names))
-    return bool(t_value(saved) > 2.0 and saved.sum() > 0.1 * gain.sum())
+    return bool(_sigmas(saved, most) > 2.0 and saved.sum() > 0.1 * gain.sum())
 
 
 def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -359,7 +359,15 @@ def _exchanged_thrusters(f: Finding, v: Vehicle) -> str:
 
 
 def _unknown(f: Finding, v: Vehicle) -> str:
-    return f"a {_force(f.target or '')} acts on the vehicle that no known cause explains"
+    text = f"a {_force(f.target or '')} acts on the vehicle that no known cause explains"
+    if f.excess is None:
+        return text
+    e = f.excess
+    return (
+        f"{text}: {number(e.rms)} {e.unit} root mean square, at most {number(e.peak)} {e.unit}, from t = "
+        f"{number(e.begin, 4)} to {number(e.end, 4)} s of `{e.log}`, {number(e.share, 2)} of the full thrust "
+        f"in {e.strongest}"
+    )
 
 
 _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {

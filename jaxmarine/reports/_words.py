@@ -22,6 +22,14 @@ def _effect(label: str, catalogue: Sequence[type[AbstractEffect]]) -> type[Abstr
 
 def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE) -> str:
     """What to look at on the boat; `catalogue`: the effects that were suspected."""
+    if finding.excess is not None:
+        e = finding.excess
+        begin, end = (number(t - e.log_begin, 4) for t in (e.begin, e.end))
+        return (
+            f"See what happened from {begin} to {end} s after the start of `{e.log}`: commands that were not "
+            "acted on (another hand at the sticks, power or link lost), a line, the bottom or another craft, "
+            "or sensors that were wrong. The extended vehicle lacks it: diagnose the log without that part."
+        )
     if not finding.named:
         look = (
             f"Look for what changes with the {joined([signal(name) for name in finding.signals])}."
@@ -166,6 +174,9 @@ def remainder(diagnosis: Diagnosis) -> str:
     if diagnosis.depends_on:
         names = joined([signal(name) for name in diagnosis.depends_on])
         return f"What is left is more than noise, and it depends on the {names}."
+    large = [finding.target or "" for finding in diagnosis.findings if finding.excess is not None]
+    if large:
+        return f"What is left in {joined(large)} is larger than any plausible disturbance."
     return (
         "What is left is more than sensor noise, but depends on no logged signal: a disturbance, "
         "such as waves or gusts."
