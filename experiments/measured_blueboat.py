@@ -36,6 +36,9 @@ TRAIN = (216, 218, 221, 222, 223, 224, 226, 228, 232, 233, 235, 239)
 TEST = (220, 225, 230, 234)
 QUICK = (226, 233)
 FREED = ("added_mass", "damping", "thrust", "reverse_thrust")
+# Once the effects are named, the shape of the thrust as well.
+FREED_AGAIN = (*FREED, "curve")
+PRIOR = "0.5"
 CHANNELS, UNITS = ("u", "v", "r"), ("m/s", "m/s", "rad/s")
 PLACES = np.array([NAMES.index(name) for name in CHANNELS])
 HORIZON = 5.0  # [s]
@@ -63,8 +66,8 @@ def command(*words: str | Path) -> tuple[str, float]:
     return done.stdout, time.perf_counter() - began
 
 
-def repeated(option: str, paths: Sequence[Path]) -> list[str | Path]:
-    return [word for path in paths for word in (option, path)]
+def repeated(option: str, values: Sequence[str | Path]) -> list[str | Path]:
+    return [word for value in values for word in (option, value)]
 
 
 # --- errors --------------------------------------------------------------------------------------
@@ -161,11 +164,10 @@ def main(
     with study(out, quick):
         said, _ = command("check", "--vehicle", GUESS, "--columns", AS_NAMED, *train)
         checked, seconds["check"] = command("check", "--vehicle", GUESS, *columns, *train)
-        freed = [word for name in FREED for word in ("--free", name)]
         fitted, extended = out / "fitted.toml", out / "report" / "extended.toml"
         _, seconds["fit"] = command(
             *("fit", "--vehicle", GUESS, *columns, *repeated("--train", train)),
-            *(*freed, "--prior", "0.5", "--out", fitted),
+            *(*repeated("--free", FREED), "--prior", PRIOR, "--out", fitted),
         )
         models = {"guessed file": jm.load_vehicle(GUESS), "jaxmarine fit": jm.load_vehicle(fitted)}
         results: dict[str, Any] = {"check_as_named": said.splitlines(), "check": checked.splitlines()}
@@ -174,7 +176,13 @@ def main(
                 *("diagnose", "--vehicle", fitted, *columns, *repeated("--train", train)),
                 *(*repeated("--test", test), "--out", out / "report"),
             )
+            again = out / "fitted_again.toml"
+            _, seconds["fit again"] = command(
+                *("fit", "--vehicle", extended, *columns, *repeated("--train", train)),
+                *(*repeated("--free", FREED_AGAIN), "--prior", PRIOR, "--out", again),
+            )
             models["jaxmarine diagnose"] = jm.load_vehicle(extended)
+            models["diagnosed and fitted again"] = jm.load_vehicle(again)
             results["diagnosis"] = json.loads((out / "report" / "diagnosis.json").read_text())
         logs = [jm.read_log(path, models["guessed file"], COLUMNS) for path in test]
         results |= {

@@ -1,0 +1,42 @@
+"""The study of a measured boat: its errors are none where the model is the one that made the log."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments import measured_blueboat as study
+from jaxmarine._types import CHANNELS
+from jaxmarine.effects import VelocityLeverArm
+from jaxmarine.logs import Log, read_columns
+from jaxmarine.vehicle import Placed
+from jaxmarine.vehicle_io import load_vehicle
+from tests.boats import NOISE, boat, record, steps
+
+EXACT = dict.fromkeys(NOISE, 0.0)
+
+
+def test_the_model_that_made_a_log_predicts_it_with_any_sensor():
+    """Also where the log shows the velocity of another point, not of its own."""
+    elsewhere = boat().place(Placed(VelocityLeverArm(*map(jnp.asarray, (1.0, 0.2, 0.0))), None))
+    log = record(elsewhere, steps(200), noise=EXACT)
+    assert study.rms([study.predicted(elsewhere, log)], [log]) == pytest.approx([0.0] * 3, abs=1e-6)
+    # A metre ahead in turns of some tenths of a radian per second.
+    assert study.rms([study.predicted(boat(), log)], [log])[1] > 0.01
+
+
+def test_a_held_start_misses_by_what_comes_after_it():
+    t = 0.1 * np.arange(101)
+    channels = np.full((101, 18), np.nan)
+    channels[:, [CHANNELS.index(name) for name in "uvr"]] = np.stack([0.2 * t, 0 * t + 0.3, 0 * t], axis=1)
+    log = Log(t, channels, np.zeros((101, 2)), None, ("left", "right"), "ramp.csv")
+    # Two horizons of 5 s: root mean square of 0.2 m/s² times 0 to 4.9 s.
+    expected = 0.2 * np.sqrt(np.mean((0.1 * np.arange(50)) ** 2))
+    assert study.rms([study.held(log)], [log]) == pytest.approx([expected, 0.0, 0.0], abs=1e-12)
+
+
+def test_the_guess_and_its_maps_are_files_that_are_read():
+    guess = load_vehicle(study.GUESS)
+    assert guess.dof == ("surge", "sway", "yaw") and guess.thruster_names == ("left", "right")
+    for path in (study.AS_NAMED, study.COLUMNS):
+        read_columns(path)
+    assert not {*study.TRAIN} & {*study.TEST}
