@@ -725,6 +725,13 @@ SENTENCES = {
         {"fraction": 1.0},
         "in earth axes (north, east, down) instead of body axes",
     ),
+    "compass_deviation": (
+        None,
+        {"constant": 0.0, "cos": 0.5236, "sin": 0.0},
+        "0 ± 11° + 30 ± 11° cos(psi) + 0 ± 11° sin(psi)",
+    ),
+    "sensor_delay": ("velocity", {"delay": 0.3}, "the logged velocity comes"),
+    "exchanged_thrusters": ("port+star", {}, "each holds the other's command"),
     "gyro_bias": (None, {"r": 0.5236}, "plus a constant (r 30 ± 11 °/s)"),
     "steady_current": (None, {"north": 0.0, "east": -1.0}, "1 m/s towards 270°"),
     "unknown": ("roll", {}, "moment in roll acts on the vehicle that no known cause explains"),

@@ -587,7 +587,7 @@ WORSE, UNSURE = "predicts test.csv worse than the file does", "does not confirm 
 )
 def test_a_reader_is_told_what_the_test_log_says(interval, changed, said):
     diagnosis: Any = object.__new__(Diagnosis)
-    quiet = dict(tests=("test.csv",), recalibrated=(), contradicted=None, misfit_after=1.0)
+    quiet = dict(tests=("test.csv",), findings=(), recalibrated=(), contradicted=None, misfit_after=1.0)
     vars(diagnosis).update(quiet, gain=gain(0.95, interval))
     answer = Answer(judged_as(Bench({}).fit()), (dependence(),), False)
     notes = _diagnose._remarks(diagnosis, answer, changed)
@@ -597,7 +597,11 @@ def test_a_reader_is_told_what_the_test_log_says(interval, changed, said):
 def test_a_reader_is_told_what_else_stands_against_the_answer():
     diagnosis: Any = object.__new__(Diagnosis)
     loud = dict(
-        tests=("test.csv",), recalibrated=("one",), contradicted="Sensors disagree.", misfit_after=1e4
+        tests=("test.csv",),
+        findings=(),
+        recalibrated=("one",),
+        contradicted="Sensors disagree.",
+        misfit_after=1e4,
     )
     vars(diagnosis).update(loud, gain=gain(0.5, (0.4, 0.6)))
     answer = Answer(judged_as(Bench({}).fit()), (dependence(tied=("r",)),), True)

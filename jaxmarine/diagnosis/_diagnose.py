@@ -117,7 +117,7 @@ def diagnose(
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
     said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
-    notes = (*diagnosis.warnings, *opened.notes, *said)
+    notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
 

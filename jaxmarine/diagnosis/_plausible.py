@@ -29,7 +29,8 @@ def full_thrust(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
     """The largest wrench [N, N m] that commands can give on each axis."""
     plant = vehicle.plant()
     drive = plant.drive
-    return np.abs(np.asarray(plant.allocation)) @ np.abs(drive.max_thrust * drive.gain * drive.saturation)
+    thrust = np.maximum(drive.max_thrust, drive.max_thrust_reverse)
+    return np.abs(np.asarray(plant.allocation)) @ np.abs(thrust * drive.gain * drive.saturation)
 
 
 def excesses(
@@ -72,6 +73,8 @@ def _largest(
     bound, worst, out = STEERABLE * strength, 1.0, None
     for i, log in enumerate(logs):
         t, wrench, std = (a[missing.log == i] for a in (missing.t, missing.wrench, missing.std))
+        if len(t) < 2:  # a log that gave no window, or none to speak of
+            continue
         wrench, std, knot = wrench[:, axis], std[:, axis], float(np.median(np.diff(t)))
         count = min(max(1, round(STRETCH / knot)), len(t))
         # The estimate of a force has its noise in it, whose size is known.

@@ -56,6 +56,7 @@ def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
 class Opened:
     """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell.
 
+    - `gross`: sentences on gross errors, which come before all else.
     - `exchanged`: columns that are, which the workbench's vehicle has exchanged already.
     - `nameless`: whether something that no effect is makes all names worthless.
     """
@@ -63,6 +64,7 @@ class Opened:
     bench: Workbench
     begun: Model
     tests: tuple[Log, ...]
+    gross: tuple[str, ...]
     notes: tuple[str, ...]
     exchanged: tuple[Placed, ...] = ()
     nameless: bool = False
@@ -99,9 +101,10 @@ def opened_with(
     tests, left_out = _predictable(bench, tests)
     progress(FITTING)
     begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
-    notes = [*(one.told for one in wrong), *notes, *doubled, *reviews, *left_out, *stuck(bench), *told]
+    notes = [*notes, *doubled, *reviews, *left_out, *stuck(bench), *told]
+    gross = tuple(one.told for one in wrong)
     nameless = any(not one.causes for one in wrong)
-    return Opened(rescaled(bench, begun), begun, tests, tuple(notes), exchanged, nameless)
+    return Opened(rescaled(bench, begun), begun, tests, gross, tuple(notes), exchanged, nameless)
 
 
 def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:

@@ -24,12 +24,13 @@ from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._free import set_free
 from ._gross import gross_errors
-from ._noise import at_residual, noise_of
+from ._noise import noise_of
 from ._review import reviewed
 from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
 from ._trajectory import segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
+from ._weights import largest, overdispersion, scaled
 from ._windows import cut
 
 # Standard error, relative to the typical size, from which a number counts as not determined.
@@ -186,7 +187,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
     estimated = np.isfinite(noise) & np.isnan(vehicle.stated_noise)
     if np.isfinite(refined.cost) and estimated.any():
-        task = _reweighed(task, refined, estimated)
+        task = _reweighed(task, refined, estimated, logs[0].dt)
         refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
         raise runaway(logs[0].name, vehicle.name)
@@ -246,12 +247,14 @@ def evaluated(
     )
 
 
-def _reweighed(task: Task, refined: Refined, channels: np.ndarray) -> Task:
-    """The task with the noise of some channels raised to the residual."""
+def _reweighed(task: Task, refined: Refined, channels: np.ndarray, dt: float) -> Task:
+    """The task with the noise of some channels raised to what the file leaves, as a fit weighs them."""
     windows = task.problem.windows
+    own = np.asarray(windows.weight)
     residual = predict(task.problem, task.affine.theta, refined.delta)[1]
-    factor = np.where(channels, at_residual(residual, windows.measured, windows.weight), 1.0)
-    return eqx.tree_at(lambda t: t.problem.windows.weight, task, windows.weight / factor[None, None])
+    factor = overdispersion(residual, own, largest(np.asarray(windows.measured), own))
+    weight = scaled(own, np.where(channels, factor, 1.0), dt)
+    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight))
 
 
 def coefficient_name(kind: str, dof: str) -> str:

@@ -48,7 +48,8 @@ class Estimate:
     - `scores` [groups, z]: derivative of half the chi-square of each window.
     - `information` [groups, z, z]: that of each window, without prior.
     - `spurious` [z, z]: the part of the information that comes from noise in the regressors.
-    - `chi2` without prior, and its `freedom`: samples less everything that was fitted.
+    - `chi2` without prior, in units of the sensors' noise, and its `freedom`: samples less everything that
+      was fitted; `weighed_chi2`: what was minimised, NaN where that is the same.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `rejected`: times at which windows begin that were left out [s].
     - `weighed` [18]: factors of the sensors' noise that channels were weighed with in the end; `left` [18]:
@@ -70,6 +71,7 @@ class Estimate:
     weighed: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.ones(18))
     left: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.full(18, np.nan))
     worst: str = ""
+    weighed_chi2: float = np.nan
 
     @property
     def finite(self) -> bool:

@@ -26,8 +26,8 @@ from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 _WITHIN_NOISE = 0.05
 # With an inertia so many times that of the start, or its inverse, it is another craft, or other units.
 _OTHER_CRAFT = 10.0
-# Damping that makes an axis faster by this share in a second [1/s] drives it; less is rounding.
-_DRIVEN = 0.02
+# Standard errors by which it must be so for sure: one of 400 draws of noise is farther off.
+_SURE = 3.0
 # A channel that is missed by so many times its noise is told: the noise itself is known to a factor of three.
 _FAR = 3.0
 # Lines of undetermined combinations that a printed fit shows.
@@ -176,13 +176,14 @@ def fit(
         estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh)
     else:
         estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
-    estimate = _judged(estimate, freed, z_units, logs)
+    found = uncertainty(freed, scales, z_units, estimate)
+    estimate = _judged(estimate, freed, z_units, found)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")
     return Fit(
         vehicle=freed(jnp.asarray(estimate.raw)),
         start=vehicle,
-        uncertainty=uncertainty(freed, scales, z_units, estimate),
+        uncertainty=found,
         reduced_chi2=estimate.chi2 / max(estimate.freedom, 1.0),
         steps=estimate.steps,
         converged=estimate.converged,
@@ -198,7 +199,7 @@ def fit(
     )
 
 
-def _judged(estimate: Estimate, freed: Freed, units: Units, logs: Sequence[Log]) -> Estimate:
+def _judged(estimate: Estimate, freed: Freed, units: Units, found: Uncertainty) -> Estimate:
     """The estimate with its result in words: converged, or why not and what to do."""
 
     def failed(what: str) -> Estimate:
@@ -210,13 +211,14 @@ def _judged(estimate: Estimate, freed: Freed, units: Units, logs: Sequence[Log])
         return failed(f"the simulation diverged{where}; {advice}")
     parts = estimate.promise(units)
     promise = float(parts.sum())
-    if (not estimate.converged and promise >= _WITHIN_NOISE) or promise > max(1.0, 1e-3 * estimate.chi2):
+    minimised = estimate.chi2 if np.isnan(estimate.weighed_chi2) else estimate.weighed_chi2
+    if (not estimate.converged and promise >= _WITHIN_NOISE) or promise > max(1.0, 1e-3 * minimised):
         name = freed.names[int(np.argmax(parts))]
         return failed(
             f"after {estimate.steps} steps {promise:.2g} nats could still be gained, most by {name}{where}; "
             f"raise `max_steps`, {advice}"
         )
-    senseless = _senseless(freed, freed(jnp.asarray(estimate.raw)), logs)
+    senseless = _senseless(freed, found)
     if senseless:
         return failed(f"it ended where {senseless}{where}; check units and signs, or give a prior.")
     if not estimate.converged:
@@ -225,20 +227,17 @@ def _judged(estimate: Estimate, freed: Freed, units: Units, logs: Sequence[Log])
     return estimate
 
 
-def _senseless(freed: Freed, fitted: Vehicle, logs: Sequence[Log]) -> str:
-    """Which number of a fitted vehicle no craft of the start's kind has, in words, or nothing."""
-    before, after = (np.diag(np.asarray(one.mass_matrix)) for one in (freed.vehicle, fitted))
-    for i in np.flatnonzero(np.asarray(freed.vehicle.free)):
-        ratio = after[i] / before[i]
-        if not 1 / _OTHER_CRAFT < ratio < _OTHER_CRAFT:
-            return f"the inertia in {DOFS[i]} is {ratio:.2g} times that of the start"
-    seen = {axis.dof: axis.velocity_rms for axis in coverage(logs, fitted.dof)}
-    for i, dof in enumerate(DOFS):
-        if dof in seen:
-            force = fitted.damping.linear[i, i] + fitted.damping.quadratic[i, i] * seen[dof]
-            started = freed.vehicle.damping.linear[i, i] + freed.vehicle.damping.quadratic[i, i] * seen[dof]
-            if force < -_DRIVEN * after[i] and started >= 0:
-                return f"damping drives {dof} instead of braking it"
+def _senseless(freed: Freed, found: Uncertainty) -> str:
+    """Which inertia no craft of the start's kind has, in words, or nothing; unsure ones may be right."""
+    before = np.diag(np.asarray(freed.vehicle.mass_matrix))
+    for p in found.parameters:
+        kind, _, dof = p.name.removesuffix("]").partition("[")
+        if kind not in ("added_mass", "body.matrix") or dof not in DOFS:
+            continue
+        whole = before[DOFS.index(dof)]
+        off, ratio = _SURE * p.std_model / whole, 1.0 + (p.value - p.start) / whole
+        if ratio + off < 1 / _OTHER_CRAFT or ratio - off > _OTHER_CRAFT:
+            return f"the inertia in {dof} is {ratio:.2g} times that of the start"
     return ""
 
 

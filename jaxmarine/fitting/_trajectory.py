@@ -30,8 +30,9 @@ _JUDGING, _BETWEEN, _HALVING, _JUDGEMENTS = 4, 16, 4, 12
 # Solves at most, each with the weights that the one before asks for: from far off two or three find the
 # model, and as many more its weights.
 _WEIGHINGS = 8
-# Windows that a start which runs away is first mended over are no shorter than this [s].
-_SHORTEST = 0.5
+# Windows that a start which runs away is first mended over are no shorter than this [s], and have half of
+# these samples at least.
+_SHORTEST, _FEWEST = 0.5, 16
 # Steps of each but the last, and the share of the cost that one must promise: the next has other weights. The
 # last ends where a step promises nothing any more.
 _ROUGH_STEPS, _ROUGH, _FINE = 12, 1e-3, 1e-9
@@ -88,11 +89,13 @@ def fit_trajectory(
         solved = _solved(task, jnp.asarray(z), logs[0].dt, max_steps, reject, weigh)
         steps += solved.steps
         now = _estimate(freed, units, data, task, solved, steps)
-        if not now.finite and best is None and window > 2 * _SHORTEST:
+        if not now.finite and not z.any() and window > max(2 * _SHORTEST, _FEWEST * data.hold):
             # The start runs away before a window has ended; over shorter ones it may be mended.
             nearer = fit_trajectory(freed, units, logs, noise, window / 2, max_steps, held, reject, weigh)
-            if nearer.finite and nearer.z.any() and not z.any():
+            steps += nearer.steps
+            if nearer.finite and nearer.z.any():
                 z = nearer.z
+                split = max(split, min(substeps(freed(jnp.asarray(nearer.raw)), data.hold), _FINEST * split))
                 continue
         if not now.finite:
             # Finer steps from a point far off may fail where coarse ones had ended.
@@ -135,17 +138,17 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
         weighed = _with_weight(task, scaled(own, factor, dt))
         if reject:
             weighed, z, delta = _without_costly(weighed, z, delta)
-        left = max_steps - steps
-        how = (left, _FINE) if last else (min(_ROUGH_STEPS, left), _ROUGH)
+        how = (max_steps, _FINE) if last else (min(_ROUGH_STEPS, max_steps), _ROUGH)
         refined = refine_windows(weighed, z, delta, *how)
         steps += int(refined.steps)
         z, delta = refined.z, refined.delta
         used = own * (np.asarray(weighed.problem.windows.weight) > 0)
         residual = np.asarray(predict(_with_weight(task, used).problem, task.affine(z), delta)[1])
-        if last or steps >= max_steps or not np.isfinite(refined.cost):
+        if last or not np.isfinite(refined.cost):
             break
         before, factor = factor, overdispersion(residual, used, most)
-        last = settled(before, factor)
+        # Whoever allows few steps does not want them spent on weights.
+        last = settled(before, factor) or steps >= max_steps
     return _Solved(weighed, refined, factor, steps, np.where(used > 0, residual, np.nan))
 
 
@@ -206,7 +209,7 @@ def _without_costly(task: Task, z, delta):
 
 def _estimate(freed: Freed, units: Units, data: Cut, task: Task, solved: _Solved, steps: int) -> Estimate:
     refined, residual = solved.refined, solved.residual
-    _, scores, information = refined.stats.reduced()
+    weighed_chi2, scores, information = refined.stats.reduced()
     # Components of the initial states that the data hold, rather than their weak prior.
     pull = np.asarray(task.problem.start_precision)
     try:
@@ -223,6 +226,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, solved: _Solved
         information=np.asarray(information),
         spurious=spurious(solved.task, refined),
         chi2=float(np.nansum(residual**2)) if np.isfinite(refined.cost) else np.inf,
+        weighed_chi2=float(weighed_chi2.sum()),
         freedom=int(seen.sum()) - (12 * data.windows.count - float(loose)) - len(z),
         steps=steps,
         converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),

@@ -10,6 +10,8 @@ of each window keeps the sensor's own noise, because no error of the model has g
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._rollout import wrapped
+
 # What is first measured within this time of a window's beginning holds its start [s]: in half a second the
 # velocity of a craft hardly changes by what a model lacks.
 _EARLY = 0.5
@@ -44,7 +46,9 @@ def largest(
     measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
 ) -> Float[np.ndarray, "18"]:
     """Factors that raise a channel's noise to what it changes by in windows, the most it can be missed by."""
-    changes = np.ma.masked_array(measured * weight, weight == 0).std(axis=1) ** 2
+    # Angles about the first sample, as they may be wrapped.
+    near = np.asarray(wrapped(measured - measured[:, :1]))
+    changes = np.ma.masked_array(near * weight, weight == 0).std(axis=1) ** 2
     return np.maximum(np.sqrt(changes.mean(axis=0).filled(1.0)), 1.0)
 
 
@@ -61,8 +65,9 @@ def overdispersion(
     the root of how many neighbouring samples are worth one, $1 + 2 \sum_l (1 - l / n) \rho_l$ over the lags l
     up to the first that is not positive (after Geyer 1992), at most the window's n samples.
     """
-    seen = (np.asarray(weight) > 0).astype(float)
-    error = np.where(seen > 0, np.asarray(residual), 0.0)
+    # What ran away is not a number to go by.
+    seen = ((np.asarray(weight) > 0) & np.isfinite(residual)).astype(float)
+    error = np.where(seen > 0, np.nan_to_num(np.asarray(residual)), 0.0)
     count = np.maximum(seen.sum(axis=(0, 1)), 1.0)
     variance = (error**2).sum(axis=(0, 1)) / count
     size = np.minimum(variance, most**2)

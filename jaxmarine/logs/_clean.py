@@ -103,6 +103,8 @@ def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[Note
         first = np.flatnonzero(np.append(True, np.diff(values) != 0))
         if len(first) < _FEWEST:
             continue
+        if _step(values):
+            continue  # a coarse sensor repeats itself while its motion lasts for less than a step
         rows = np.diff(np.append(first, len(values)))
         period = int(np.quantile(rows[:-1], 0.5, method="lower"))
         if period < 2:
@@ -140,19 +142,29 @@ def _note(log: Log, name: str, kind: str, t: Float[np.ndarray, " defects"], coun
     )
 
 
+def _step(values: Float[np.ndarray, " seen"]) -> float:
+    """The step in which the samples of a coarse sensor come; zero where they do not come in steps.
+
+    Samples of a slow sensor repeat too, but have no step in common; and where noise is larger than a step,
+    neighbours seldom share one.
+    """
+    step = np.sqrt(12) * resolution(values) if len(values) >= _FEWEST else 0.0
+    if step == 0:
+        return 0.0
+    levels = (np.unique(values) - values.min()) / step
+    even = np.allclose(levels, np.round(levels), rtol=0, atol=1e-3)
+    return (
+        float(step) if even and len(levels) > 2 and np.median(np.abs(np.diff(values))) < 1.5 * step else 0.0
+    )
+
+
 def _rounding(log: Log) -> list[Note]:
     """A note on each channel of which the steps are coarser than its noise."""
     notes = []
     for index, name in enumerate(CHANNELS):
         values = log.channels[np.isfinite(log.channels[:, index]), index]
-        step = np.sqrt(12) * resolution(values) if len(values) >= _FEWEST else 0.0
-        if step == 0:
-            continue
-        # samples of a slow sensor repeat too, but have no step in common; and where noise is larger than a
-        # step, neighbours seldom share one
-        levels = (np.unique(values) - values.min()) / step
-        even = np.allclose(levels, np.round(levels), rtol=0, atol=1e-3)
-        if even and len(levels) > 2 and np.median(np.abs(np.diff(values))) < 1.5 * step:
+        step = _step(values)
+        if step:
             steps = (
                 "comes in steps of {step:.3g}; where its noise is not stated, it is taken for at least "
                 "{noise:.2g}."
