@@ -29,6 +29,7 @@ import jaxmarine as jm
 from experiments._study import save_figure, spread, study, write_results
 from jaxmarine._types import CHANNELS, SENSORS
 from jaxmarine.examples import operator
+from jaxmarine.fitting import noise_of
 from jaxmarine.networks import LearnedThrust, learned_thrust
 from jaxmarine.physics import thrust
 
@@ -112,7 +113,9 @@ def fitted(start: jm.Vehicle, log: jm.Log, steps: int) -> jm.Fit:
     damping = [0.5 * np.abs(np.asarray(d)) for d in (start.damping.linear, start.damping.quadratic)]
     networks = tuple(jnp.full_like(a, std) for a, std in zip(effect.network, (3.0, 3.0, 0.3), strict=True))
     prior = (*damping, networks, jnp.full_like(effect.lag, 0.5))
-    return jm.fit(start, log, free, prior=prior, window=WINDOW, max_steps=steps, throw=False)
+    # The noise is known, and all models are to weigh it alike.
+    noise = noise_of(start, [log])
+    return jm.fit(start, log, free, prior=prior, window=WINDOW, max_steps=steps, throw=False, noise=noise)
 
 
 def steady(

@@ -183,6 +183,7 @@ def trajectory_loss(vehicle: jm.Vehicle, runs: Sequence[Run], steps: int) -> jm.
         prior=2.0,  # what is not excited stays near its start
         max_steps=steps,
         throw=False,
+        noise=noise_of(vehicle, [run.log for run in runs]),
     )
 
 

@@ -36,6 +36,7 @@ from experiments._study import ScalarEffect, save_figure, spread, study, write_r
 from jaxmarine._types import CHANNELS, Scalar, Wrench
 from jaxmarine.effects import HullLift, Motion
 from jaxmarine.examples import operator, recorded
+from jaxmarine.fitting import noise_of
 from jaxmarine.logs import smooth_states
 from jaxmarine.networks import MLPDamping, Seen, learned_wrench, mlp_damping
 from jaxmarine.physics import damping, from_euler, step_lengths, thrust
@@ -224,7 +225,9 @@ def fitted(start: jm.Vehicle, log: jm.Log, parts: tuple[str, ...], loss: Any, st
         return jax.tree.map(lambda a: np.full(np.shape(a), wide[name] if name in parts else HELD), leaves)
 
     prior = {name: std(name, leaves) for name, leaves in free(start).items()}
-    return jm.fit(start, log, free, loss=loss, prior=prior, max_steps=steps, throw=False)
+    # The noise is known, and all models are to weigh it alike.
+    noise = noise_of(start, [log])
+    return jm.fit(start, log, free, loss=loss, prior=prior, max_steps=steps, throw=False, noise=noise)
 
 
 def trained(start: jm.Vehicle, log: jm.Log, parts: tuple[str, ...], steps: int) -> dict[str, jm.Fit]:
