@@ -65,7 +65,7 @@ class Size:
     blocks: int = 12
 
 
-QUICK = Size(duration=60.0, steps=4, epochs=20, blocks=1)
+QUICK = Size(duration=60.0, steps=8, epochs=20, blocks=1)
 
 
 # --- the plant -----------------------------------------------------------------------------------
