@@ -837,3 +837,19 @@ def test_the_page_tells_the_noise_that_was_used():
         "position 0.02 m (stated), attitude 0.01 rad (estimated)"
         in Reader(_page.page(diagnosis(vehicle=stated))).text
     )
+
+
+def test_the_error_of_a_slow_sensor_is_a_line_over_the_steps_without_samples():
+    """Positions in every other row only: what stands at the others is what the line between them gives."""
+    slow = predictions()
+    measured = slow.measured.copy()
+    measured[:, slow.begin + 1 :: 2, :3] = np.nan
+    whole = {one.title: one for one in _curves.errors_by_horizon(slow)}
+    sparse = {
+        one.title: one for one in _curves.errors_by_horizon(dataclasses.replace(slow, measured=measured))
+    }
+    title = "Position"
+    for model in ("before", "after"):
+        kept, full = sparse[title].errors[model], whole[title].errors[model]
+        np.testing.assert_allclose(kept[::2], full[::2])
+        np.testing.assert_allclose(kept[1:-1:2], (full[:-2:2] + full[2::2])[: len(kept[1:-1:2])] / 2)

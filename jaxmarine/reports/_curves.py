@@ -128,8 +128,8 @@ def errors_by_horizon(predictions: Predictions) -> tuple[GroupError, ...]:
                     unit=shown_unit(channels[0]),
                     horizon=horizon,
                     errors={
-                        "before": _rms(before[..., columns]),
-                        "after": _rms(after[..., columns]),
+                        "before": _bridged(horizon, _rms(before[..., columns])),
+                        "after": _bridged(horizon, _rms(after[..., columns])),
                     },
                     noise=float(_rms(noise[None, None, columns])[0]),
                 )
@@ -142,6 +142,14 @@ def _rms(errors: Float[np.ndarray, "starts steps channels"]) -> Float[np.ndarray
     count = np.isfinite(errors).sum(axis=(0, 2))
     total = np.nansum(errors**2, axis=(0, 2))
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def _bridged(
+    horizon: Float[np.ndarray, " steps"], curve: Float[np.ndarray, " steps"]
+) -> Float[np.ndarray, " steps"]:
+    """The curve with lines over steps at which a sensor that is slower than the log was not read."""
+    known = np.isfinite(curve)
+    return np.interp(horizon, horizon[known], curve[known]) if known.any() else curve
 
 
 def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts 18"]:
