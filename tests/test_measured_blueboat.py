@@ -1,5 +1,7 @@
 """The study of a measured boat: its errors are none where the model is the one that made the log."""
 
+import json
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,3 +42,10 @@ def test_the_guess_and_its_maps_are_files_that_are_read():
     for path in (study.AS_NAMED, study.COLUMNS):
         read_columns(path)
     assert not {*study.TRAIN} & {*study.TEST}
+
+
+def test_the_table_of_the_page_is_that_of_the_results():
+    results = json.loads((study.HERE / "results.json").read_text())
+    page = (study.HERE / "README.md").read_text()
+    for name, values in results["rms"].items():
+        assert f"| {name} | " + " | ".join(f"{x:.3f}" for x in values) + " |" in page
