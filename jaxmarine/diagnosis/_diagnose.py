@@ -100,9 +100,7 @@ def diagnose(
         recalibrated=recalibrated(bench, now, std) if answer.dense else (),
         rounds=tuple(weighed(bench, one) for one in rounds),
         groups=groups(findings),
-        misfit_before=2 * Unnamed(connected).start.cost / bench.samples
-        if opened.exchanged
-        else 2 * rival.start.cost / bench.samples,
+        misfit_before=2 * (Unnamed(connected) if opened.exchanged else rival).start.cost / bench.samples,
         misfit_after=float(now.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
         missing_before=missing_wrench(rival.judged.knots),

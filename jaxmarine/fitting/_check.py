@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -254,7 +253,7 @@ def _reweighed(task: Task, refined: Refined, channels: np.ndarray, dt: float) ->
     residual = predict(task.problem, task.affine.theta, refined.delta)[1]
     factor = overdispersion(residual, own, largest(np.asarray(windows.measured), own))
     weight = scaled(own, np.where(channels, factor, 1.0), dt)
-    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight))
+    return task.weighed(weight)
 
 
 def coefficient_name(kind: str, dof: str) -> str:

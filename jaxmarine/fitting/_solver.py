@@ -12,6 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -37,6 +38,10 @@ class Task(eqx.Module):
     problem: Problem
     affine: Affine
     precision: Float[Array, " z"]
+
+    def weighed(self, weight: Float[Array | np.ndarray, "windows steps 18"]) -> "Task":
+        """The task with other weights of what was measured."""
+        return eqx.tree_at(lambda t: t.problem.windows.weight, self, jnp.asarray(weight))
 
 
 def _solved(system: tuple[Array, Array]) -> Array:

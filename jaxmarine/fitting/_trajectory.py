@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -135,7 +134,7 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
     while True:
         weighings += 1
         last = last or weighings == _WEIGHINGS
-        weighed = _with_weight(task, scaled(own, factor, dt))
+        weighed = task.weighed(scaled(own, factor, dt))
         if reject:
             weighed, z, delta = _without_costly(weighed, z, delta)
         how = (max_steps, _FINE) if last else (min(_ROUGH_STEPS, max_steps), _ROUGH)
@@ -143,17 +142,13 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
         steps += int(refined.steps)
         z, delta = refined.z, refined.delta
         used = own * (np.asarray(weighed.problem.windows.weight) > 0)
-        residual = np.asarray(predict(_with_weight(task, used).problem, task.affine(z), delta)[1])
+        residual = np.asarray(predict(task.weighed(used).problem, task.affine(z), delta)[1])
         if last or not np.isfinite(refined.cost):
             break
         before, factor = factor, overdispersion(residual, used, most)
         # Whoever allows few steps does not want them spent on weights.
         last = settled(before, factor) or steps >= max_steps
     return _Solved(weighed, refined, factor, steps, np.where(used > 0, residual, np.nan))
-
-
-def _with_weight(task: Task, weight: np.ndarray) -> Task:
-    return eqx.tree_at(lambda t: t.problem.windows.weight, task, jnp.asarray(weight))
 
 
 def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
@@ -198,8 +193,7 @@ def _without_costly(task: Task, z, delta):
         scatter = 1.4826 * np.median(np.abs(cost - middle))
         limit = middle if judgement < _HALVING else middle + _COSTLY * scatter
         before, kept = kept, cost <= limit
-        weight = full.problem.windows.weight * jnp.asarray(kept)[:, None, None]
-        task = eqx.tree_at(lambda t: t.problem.windows.weight, full, weight)
+        task = full.weighed(full.problem.windows.weight * jnp.asarray(kept)[:, None, None])
         if judgement > _HALVING and (kept == before).all():
             break
         refined = refine_windows(task, z, delta, _BETWEEN)
@@ -250,9 +244,10 @@ def _worst(data: Cut, task: Task, solved: _Solved) -> str:
     One that diverged has moved nothing: then where the start does.
     """
     windows = solved.task.problem.windows
-    weight = np.asarray(windows.weight)
-    error = np.asarray(predict(solved.task.problem, task.affine(solved.refined.z), solved.refined.delta)[1])
-    error = np.where(weight > 0, np.nan_to_num(error**2, nan=np.inf, posinf=np.inf), 0.0)
+    weight, own = np.asarray(windows.weight), np.asarray(task.problem.windows.weight)
+    used = weight > 0
+    error = (solved.residual * weight / np.where(used, own, 1.0)) ** 2
+    error = np.where(used, np.nan_to_num(error, nan=np.inf, posinf=np.inf), 0.0)
     window = int(np.argmax(error.sum(axis=(1, 2))))
     channel = CHANNELS[int(np.argmax(error[window].sum(axis=0)))]
     log = data.logs[int(np.asarray(windows.log)[window])]
