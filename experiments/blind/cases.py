@@ -11,23 +11,26 @@ that noise and disturbance leave.
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
 
-from . import catalogue, outside
+from . import catalogue, disturbances, outside
 from .catalogue import DAMP, LASTING, Draw, Scales, scales
+from .disturbances import gauss_markov
 from .excitation import ALONE, axes
 from .excitation import commands as operator
-from .plant import Effect, Model, Outside, Run, observed, simulate
+from .feedback import STEERINGS, Controller, wrapped
+from .plant import SENSOR, Disturbance, Effect, Model, Outside, Run, observed, simulate
 from .severity import altered, equivalents, likeness, nearest, prediction_error
 from .vehicle import DOFS, FOLDER, Array, Vehicle, from_tables, load, perturbed
 
 DT = 0.1  # s
 STEEPEST = 1.05  # rad, pitch and roll that a case may reach
+LATEST = 12  # samples: more than any sensor of the catalogue is late
 STRANGE = 0.3  # squared share of an effect outside the catalogue that the nearest named one has to leave
 SPREAD = 0.15  # relative error of the coefficients of a wrong vehicle file
 RIVALS = (
@@ -39,16 +42,17 @@ Hidden = Effect | Outside
 
 
 class Unruly(Exception):
-    """The vehicle left sane attitudes or the run diverged."""
+    """The vehicle left sane attitudes or its controller's hands, or the run diverged."""
 
 
 @dataclass
 class Log:
-    """One simulated log: true run, commands, and the disturbance if any."""
+    """One simulated log: true run, commands, and the sensors' noise (K, 18) where a controller saw it."""
 
     run: Run
     commands: Array
     effects: list[Effect] = field(default_factory=list)
+    noise: Array | None = None
 
     @property
     def times(self) -> Array:
@@ -60,18 +64,40 @@ class Log:
         return observed(self.effects, self.times, self.run.signals())[:, :, 0]
 
 
-def gauss_markov(samples: int, deviation: Array, tau: float, rng: np.random.Generator) -> Array:
-    """First-order Gauss-Markov wrench, (K, 6, 1).
+@dataclass
+class Loop:
+    """A controller in the loop: it sees a sample with its noise, and its commands are kept for the log.
 
-    w_k+1 = a w_k + sqrt(1 - a^2) deviation N(0, 1) with a = exp(-dt / tau).
+    - `commands` (K, thrusters): those given so far; `noise` (K, 18).
     """
-    a = np.exp(-DT / tau)
-    kicks = rng.standard_normal((samples, 6)) * deviation
-    out = np.empty((samples, 6))
-    out[0] = kicks[0]
-    for k in range(1, samples):
-        out[k] = a * out[k - 1] + np.sqrt(1.0 - a * a) * kicks[k]
-    return out[:, :, None]
+
+    controller: Controller
+    effects: list[Effect]
+    outside: list[Outside]
+    commands: Array
+    noise: Array
+
+    def __post_init__(self) -> None:
+        self.signals = np.zeros((len(self.commands), 18, 1))
+        self.acting = np.zeros_like(self.commands)
+        self.distorted = any(e.effect in SENSOR for e in self.effects)
+
+    def __call__(self, k: int, s: Array) -> Array:
+        """What the thrusters see at sample k, (thrusters, 1), in the state s (13, 1)."""
+        self.signals[k, :12] = s[:12]
+        clean = self.signals[k, :, 0]
+        if self.distorted and k:  # at the first sample there is nothing late yet
+            past = np.arange(max(0, k - LATEST), k + 1)
+            clean = observed(self.effects, DT * past, self.signals[past])[-1, :, 0]
+        seen = clean + self.noise[k]
+        seen[3:6] = wrapped(seen[3:6])
+        self.commands[k] = now = self.controller(k, seen[:12])
+        # What such an effect makes of a command depends on it, and on what it made of the one before.
+        for o in (o for o in self.outside if o.commands is not None):
+            pair = np.array([self.acting[k - 1] if k else now, now])
+            now = o.commands(DT * np.array([k - 1, k]), pair)[1]
+        self.acting[k] = now
+        return now[:, None]
 
 
 def roll_out(
@@ -79,28 +105,86 @@ def roll_out(
     hidden: Sequence[Hidden],
     commands: Array,
     heading: float,
-    disturbance: Array | None = None,
+    disturbance: Disturbance | None = None,
 ) -> Log:
     """A run from rest at the origin with what is hidden acting from its `since`."""
-    named = [e for e in hidden if isinstance(e, Effect)]
-    unnamed = [e for e in hidden if isinstance(e, Outside)]
+    named, unnamed = parted(hidden)
     seen = altered(unnamed, DT * np.arange(len(commands)), commands)
+    return Log(sailed(vehicle, hidden, seen, heading, disturbance), commands, named)
+
+
+def close_loop(
+    vehicle: Vehicle,
+    hidden: Sequence[Hidden],
+    controller: Controller,
+    noise: Array,
+    heading: float,
+    disturbance: Disturbance | None = None,
+) -> Log:
+    """The same under a controller, that sees each sample with its noise (K, 18)."""
+    named, unnamed = parted(hidden)
+    loop = Loop(controller, named, unnamed, np.zeros((len(noise), len(vehicle.names))), noise)
+    run = sailed(vehicle, hidden, loop.commands, heading, disturbance, loop)
+    if controller.strayed > 0.5 * len(noise):
+        raise Unruly(f"{vehicle.name} does not keep its heading")
+    return Log(run, loop.commands, named, noise)
+
+
+def regulated(
+    vehicle: Vehicle,
+    hidden: Sequence[Hidden],
+    steering: str,
+    samples: int,
+    rng: np.random.Generator,
+    level: float,
+    disturbance: Disturbance | None = None,
+) -> Log:
+    """A run of so many samples with set-points, noise and heading at the start drawn at random."""
+    controller = Controller(vehicle, steering, samples, rng, level)
+    noise = vehicle.noise * rng.standard_normal((samples, 18))
+    return close_loop(vehicle, hidden, controller, noise, float(rng.uniform(-np.pi, np.pi)), disturbance)
+
+
+def parted(hidden: Sequence[Hidden]) -> tuple[list[Effect], list[Outside]]:
+    """What is in the catalogue, and what is outside it."""
+    named = [e for e in hidden if isinstance(e, Effect)]
+    return named, [e for e in hidden if isinstance(e, Outside)]
+
+
+def sailed(
+    vehicle: Vehicle,
+    hidden: Sequence[Hidden],
+    commands: Array,
+    heading: float,
+    disturbance: Disturbance | None,
+    steer: Loop | None = None,
+) -> Run:
+    """The run of commands as thrusters see them, or of a loop."""
+    named, unnamed = parted(hidden)
+    afloat = disturbance is not None and disturbance.water is not None
     starts = sorted({0, *(round(e.since / DT) for e in named if e.since is not None)})
     schedule = [
         (
             k,
-            Model(vehicle, [e for e in named if e.since is None or round(e.since / DT) <= k], unnamed),
+            Model(
+                vehicle,
+                [e for e in named if e.since is None or round(e.since / DT) <= k],
+                unnamed,
+                afloat,
+            ),
         )
         for k in starts
     ]
     start = np.zeros((13, 1))
     start[5] = heading
     with np.errstate(all="ignore"):
-        run = simulate(schedule, seen[:, :, None], start, len(seen), disturbance=disturbance)
+        run = simulate(
+            schedule, commands[:, :, None], start, len(commands), disturbance=disturbance, steer=steer
+        )
     tilt = np.abs(run.states[:, 3:5]).max()
     if not np.isfinite(run.states).all() or tilt > STEEPEST:
         raise Unruly(f"{vehicle.name} tilts by {tilt:.2f} rad")
-    return Log(run, commands, named)
+    return run
 
 
 def believed_error(vehicle: Vehicle, log: Log) -> float:
@@ -110,16 +194,19 @@ def believed_error(vehicle: Vehicle, log: Log) -> float:
 
 def floor_error(vehicle: Vehicle, hidden: Sequence[Hidden], log: Log) -> float:
     """Mean square prediction error that the disturbance leaves to the true model."""
-    named = [e for e in hidden if isinstance(e, Effect)]
-    unnamed = [e for e in hidden if isinstance(e, Outside)]
+    named, unnamed = parted(hidden)
     seen = altered(unnamed, log.times, log.commands)
     return prediction_error(Model(vehicle, named, unnamed), log.run, seen, log.seen())
 
 
 def table(vehicle: Vehicle, log: Log, noise: Array, rng: np.random.Generator) -> str:
-    """The log as CSV text with white noise of these deviations (18), angles wrapped, six digits."""
-    signals = log.seen() + noise * rng.standard_normal((len(log.commands), 18))
-    signals[:, 3:6] = (signals[:, 3:6] + np.pi) % (2.0 * np.pi) - np.pi
+    """The log as CSV text, angles wrapped, six digits.
+
+    With white noise of these deviations (18), or with that which its controller saw.
+    """
+    drawn = noise * rng.standard_normal((len(log.commands), 18)) if log.noise is None else log.noise
+    signals = log.seen() + drawn
+    signals[:, 3:6] = wrapped(signals[:, 3:6])
     channels = vehicle.signals()
     columns = np.column_stack([log.times, signals[:, [row for _, row in channels]], log.commands])
     head = ",".join(["t", *(name for name, _ in channels), *vehicle.names])
@@ -150,7 +237,7 @@ def make_case(
     duration_train: float = 300.0,
     duration_test: float = 150.0,
     noise: float = 1.0,
-    disturbance: float = 0.0,
+    disturbance: float | str = 0.0,
     misfit: bool = False,
     excitation: str = "rich",
 ) -> dict[str, Any]:
@@ -158,8 +245,9 @@ def make_case(
 
     - `noise`: factor on the file's noise deviations, in the logs and in the written file.
     - `disturbance`: deviation of a coloured wrench, as a share of what `Scales.wrench` calls a
-      moderate push.
+      moderate push, or one of `disturbances.KINDS`.
     - `misfit`: the written file has every damping and added-mass coefficient wrong by 15 %.
+    - `excitation`: of `excitation.commands`, by sticks, or one of `feedback.STEERINGS`.
     """
     rng = np.random.default_rng([seed, 1])
     raw = with_noise(load(vehicle).raw, noise)
@@ -167,14 +255,24 @@ def make_case(
     hidden = [replace(e, parameters=rounded(e.parameters)) if isinstance(e, Effect) else e for e in hidden]
     tau = float(rng.uniform(1.0, 5.0))
 
+    named = isinstance(disturbance, str)
+    weather = disturbances.draw(disturbance, rng) if named and disturbance != "none" else None
+
+    def push(samples: int) -> Disturbance | None:
+        if weather is not None:
+            return disturbances.over(weather, truth, samples, rng)
+        if named or not disturbance:
+            return None
+        size = typical(truth, excitation).wrench * np.isin(np.arange(6), truth.free)
+        return Disturbance(gauss_markov(samples, disturbance * size, tau, rng))
+
     def log(duration: float, effects: Sequence[Hidden], level: float) -> Log:
         samples = round(duration / DT)
+        if excitation in STEERINGS:
+            return regulated(truth, effects, excitation, samples, rng, level, push(samples))
         commands = (level * operator(truth, samples, rng, excitation)).round(6)
-        push = None
-        if disturbance:
-            size = typical(truth, excitation).wrench * np.isin(np.arange(6), truth.free)
-            push = gauss_markov(samples, disturbance * size, tau, rng)
-        return roll_out(truth, effects, commands, float(rng.uniform(-np.pi, np.pi)), push)
+        pushed = push(samples)
+        return roll_out(truth, effects, commands, float(rng.uniform(-np.pi, np.pi)), pushed)
 
     level = 1.0
     while True:
@@ -199,6 +297,12 @@ def make_case(
         "disturbance": disturbance,
         "seed": seed,
     }
+    if named:
+        answer["options"]["steering"] = excitation if excitation in STEERINGS else "sticks"
+    if weather is not None:
+        answer["options"]["weather"] = asdict(weather)
+    if disturbance == "waves" and not hidden:
+        answer["also"] = ["waves"]
     if misfit:
         raw = perturbed(raw, SPREAD, rng)
         answer["options"]["misfit"] = True
@@ -235,13 +339,16 @@ def describe(vehicle: Vehicle, hidden: Sequence[Hidden], test: Log, error: float
 
 
 def trial(vehicle: Vehicle, excitation: str, hidden: Sequence[Hidden] = ()) -> Log:
-    """A short run with always the same commands, to measure magnitudes on."""
+    """A short run with always the same commands, or set-points and noise, to measure magnitudes on."""
     rng = np.random.default_rng(0)
     seconds = ALONE * len(axes(vehicle)) if excitation == "single" else 60.0
-    commands = operator(vehicle, round(seconds / DT), rng, excitation)
+    samples, fed = round(seconds / DT), excitation in STEERINGS
+    commands = np.empty(0) if fed else operator(vehicle, samples, rng, excitation)
     level = 1.0
     while True:
         try:
+            if fed:
+                return regulated(vehicle, hidden, excitation, samples, np.random.default_rng(0), level)
             return roll_out(vehicle, hidden, level * commands, 0.5)
         except Unruly:
             level *= 0.7
@@ -346,6 +453,16 @@ def disturbance_level(vehicle: Vehicle, floor: float, excitation: str) -> float:
     push = gauss_markov(len(log.commands), 0.05 * size, 2.5, np.random.default_rng(0))
     error = believed_error(vehicle, roll_out(vehicle, [], log.commands, 0.5, push))
     return round(float(0.05 * np.sqrt((floor**2 - 1.0) / error)), 4)
+
+
+def floor_under(vehicle: Vehicle, steering: str, disturbance: str) -> float:
+    """Factor by which a middling disturbance of this kind raises the error of the true model."""
+    if disturbance == "none":
+        return 1.0
+    rng, samples = np.random.default_rng(0), 600
+    push = disturbances.over(disturbances.middling(disturbance), vehicle, samples, rng)
+    log = regulated(vehicle, [], steering, samples, rng, 1.0, push)
+    return float(np.sqrt(1.0 + floor_error(vehicle, [], log)))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
     M_RB nu' + C_RB(nu) nu + M_A nu_r' + C_A(nu_r) nu_r
         + D_l nu_r + D_q (|nu_r| nu_r) + g(eta) = tau
 
-with nu_r = nu - nu_c, the current constant in earth axes, so nu_c' = -omega x nu_c in body axes.
+with nu_r = nu - nu_c, the current constant in earth axes, so nu_c' = -omega x nu_c in body axes; where it
+wanders, its own slow change adds nothing to nu_c'.
 Locked degrees of freedom keep zero velocity and acceleration. Attitude is roll, pitch, yaw (ZYX):
 keep pitch below 90 degrees.
 
@@ -66,6 +67,28 @@ class Outside:
     commands: Callable[[Array, Array], Array] | None = None
 
 
+@dataclass(frozen=True)
+class Disturbance:
+    """What the surroundings do to the craft, held over each sample; rows of samples first.
+
+    - `wrench` (rows, 6, B): at o in body axes [N, N m].
+    - `force` (rows, 3, B): at o in earth axes [N].
+    - `water` (rows, 3, B): velocity of the water beside the steady current, in earth axes [m/s].
+    """
+
+    wrench: Array
+    force: Array | None = None
+    water: Array | None = None
+
+    def at(self, k: int, attitude: Array) -> tuple[Array, Array | None]:
+        """Wrench in body axes at an attitude (3, B), and velocity of the water, in row k."""
+        wrench = self.wrench[k]
+        if self.force is not None:
+            wrench = wrench.copy()
+            wrench[:3] += (rotation(attitude) * self.force[k][:, None]).sum(0)
+        return wrench, None if self.water is None else self.water[k]
+
+
 def coriolis(m: Array, nu: Array) -> Array:
     """C(nu) nu of a symmetric mass matrix, Fossen (2011), eq. 3.46.
 
@@ -114,11 +137,15 @@ def rotation(attitude: Array) -> Array:
 
 @dataclass
 class Model:
-    """A vehicle with a fixed set of effects, in the form that is cheap to evaluate."""
+    """A vehicle with a fixed set of effects, in the form that is cheap to evaluate.
+
+    `afloat`: the water may move although no current is among the effects.
+    """
 
     vehicle: Vehicle
     effects: Sequence[Effect] = ()
     outside: Sequence[Outside] = ()
+    afloat: bool = False
     lag: Array = field(init=False)
     delay: Array = field(init=False)
 
@@ -208,7 +235,7 @@ class Model:
         self.inverse = np.zeros((6, 6))
         self.inverse[free] = np.linalg.inv((rigid + added)[free])
         self.added = added
-        self.flows = bool(self.current.any())
+        self.flows = self.afloat or bool(self.current.any())
         self.rigid_form = -coriolis_form(rigid) if self.flows else None
         carried = added if self.flows else rigid + added
         products = lift_form(hull, turning)
@@ -262,14 +289,26 @@ class Model:
         lag = np.where(self.lag > 0.0, self.lag, 1.0)
         return np.where(self.lag > 0.0, np.exp(-h / lag), 0.0)[:, None]
 
-    def derivative(self, t: Array | float, s: Array, thrust: Array, extra: Array | float) -> Array:
-        """d/dt of the 13 state rows at t [s] under the thrusts [N] and a further wrench."""
+    def derivative(
+        self,
+        t: Array | float,
+        s: Array,
+        thrust: Array,
+        extra: Array | float,
+        water: Array | None = None,
+    ) -> Array:
+        """d/dt of the 13 state rows at t [s] under the thrusts [N] and a further wrench.
+
+        `water`: its velocity beside the steady current (3, B), of an `afloat` model [m/s].
+        """
         r = rotation(s[3:6])
         nu, (p, q, yaw) = s[6:12], s[9:12]
         through = nu
         force = self.hydrostatic @ r[2] + self.constant + extra
         if self.rigid_form is not None:
             current = np.tensordot(self.current, r, axes=1)
+            if water is not None:
+                current = current + (r * water[:, None]).sum(0)
             through = nu.copy()
             through[:3] -= current
             turning = np.array(
@@ -332,7 +371,8 @@ def simulate(
     t0: Array | float = 0.0,
     lead: int = 0,
     thrust: Array | float = 0.0,
-    disturbance: Array | None = None,
+    disturbance: Disturbance | None = None,
+    steer: Callable[[int, Array], Array] | None = None,
     dt: float = 0.1,
     step: float = 0.025,
 ) -> Run:
@@ -344,13 +384,16 @@ def simulate(
     - `commands` (rows, thrusters, B): row `lead` is the command of the first sample; the rows
       before it serve the delay, and the first row held for ever before.
     - `thrust`: thrust of lagging thrusters at the start [N].
-    - `disturbance` (rows, 6, B): wrench held over each sample [N, N m].
+    - `disturbance`: of as many rows as `commands`.
+    - `steer`: gives the commands (thrusters, B) of a sample from its number and state (13, B), in place of
+      that row of `commands`, for a controller in the loop.
 
     The acceleration of a sample is that of its instant with the command of that sample already
     acting.
     """
     n = commands.shape[1]
     each = np.arange(n)
+    commands = commands if steer is None else commands.copy()
     s = start.copy()
     states = np.empty((samples, *s.shape))
     accelerations = np.empty((samples, 6, s.shape[1]))
@@ -362,7 +405,10 @@ def simulate(
         alive = model.decay(0.0)
         lagging = bool(alive.any())
         for k in range(first, last):
-            extra = 0.0 if disturbance is None else disturbance[lead + k]
+            extra, water = (0.0, None) if disturbance is None else disturbance.at(lead + k, s[3:6])
+            if steer is not None:
+                commands[lead + k] = steer(k, s)
+                drive[lead + k] = model.drive(commands[lead + k])
             # A step of 2.8 times what the fastest damping takes settles on motions that no damping allows.
             halvings = max(0, math.ceil(np.log2(max(model.fastest(s[6:12]) * step, 1e-9))))
             for number, (offset, h, shift, half, whole) in enumerate(steps_of(step / 2**halvings)):
@@ -372,13 +418,13 @@ def simulate(
                 if lagging:
                     away = thrust - target
                     f0, fm, f1 = target + alive * away, target + half * away, target + whole * away
-                a = model.derivative(t, s, f0, extra)
+                a = model.derivative(t, s, f0, extra, water)
                 if number == 0:
                     states[k] = s
                     accelerations[k] = a[6:12]
-                b = model.derivative(t + 0.5 * h, s + 0.5 * h * a, fm, extra)
-                c = model.derivative(t + 0.5 * h, s + 0.5 * h * b, fm, extra)
-                d = model.derivative(t + h, s + h * c, f1, extra)
+                b = model.derivative(t + 0.5 * h, s + 0.5 * h * a, fm, extra, water)
+                c = model.derivative(t + 0.5 * h, s + 0.5 * h * b, fm, extra, water)
+                d = model.derivative(t + h, s + h * c, f1, extra, water)
                 s = s + h / 6.0 * (a + 2.0 * (b + c) + d)
                 thrust = f1
     return Run(states, accelerations)
