@@ -81,6 +81,7 @@ class Loop:
         self.signals = np.zeros((len(self.commands), 18, 1))
         self.acting = np.zeros_like(self.commands)
         self.distorted = any(e.effect in SENSOR for e in self.effects)
+        self.altering = [o.commands for o in self.outside if o.commands is not None]
 
     def __call__(self, k: int, s: Array) -> Array:
         """What the thrusters see at sample k, (thrusters, 1), in the state s (13, 1)."""
@@ -93,9 +94,9 @@ class Loop:
         seen[3:6] = wrapped(seen[3:6])
         self.commands[k] = now = self.controller(k, seen[:12])
         # What such an effect makes of a command depends on it, and on what it made of the one before.
-        for o in (o for o in self.outside if o.commands is not None):
+        for alter in self.altering:
             pair = np.array([self.acting[k - 1] if k else now, now])
-            now = o.commands(DT * np.array([k - 1, k]), pair)[1]
+            now = alter(DT * np.array([k - 1, k]), pair)[1]
         self.acting[k] = now
         return now[:, None]
 
@@ -255,16 +256,16 @@ def make_case(
     hidden = [replace(e, parameters=rounded(e.parameters)) if isinstance(e, Effect) else e for e in hidden]
     tau = float(rng.uniform(1.0, 5.0))
 
-    named = isinstance(disturbance, str)
-    weather = disturbances.draw(disturbance, rng) if named and disturbance != "none" else None
+    kind, coloured = (disturbance, 0.0) if isinstance(disturbance, str) else (None, disturbance)
+    weather = None if kind in (None, "none") else disturbances.draw(kind, rng)
 
     def push(samples: int) -> Disturbance | None:
         if weather is not None:
             return disturbances.over(weather, truth, samples, rng)
-        if named or not disturbance:
+        if not coloured:
             return None
         size = typical(truth, excitation).wrench * np.isin(np.arange(6), truth.free)
-        return Disturbance(gauss_markov(samples, disturbance * size, tau, rng))
+        return Disturbance(gauss_markov(samples, coloured * size, tau, rng))
 
     def log(duration: float, effects: Sequence[Hidden], level: float) -> Log:
         samples = round(duration / DT)
@@ -297,11 +298,11 @@ def make_case(
         "disturbance": disturbance,
         "seed": seed,
     }
-    if named:
+    if kind is not None:
         answer["options"]["steering"] = excitation if excitation in STEERINGS else "sticks"
     if weather is not None:
         answer["options"]["weather"] = asdict(weather)
-    if disturbance == "waves" and not hidden:
+    if kind == "waves" and not hidden:
         answer["also"] = ["waves"]
     if misfit:
         raw = perturbed(raw, SPREAD, rng)
@@ -338,18 +339,24 @@ def describe(vehicle: Vehicle, hidden: Sequence[Hidden], test: Log, error: float
     return {"findings": findings, "options": {}}
 
 
-def trial(vehicle: Vehicle, excitation: str, hidden: Sequence[Hidden] = ()) -> Log:
-    """A short run with always the same commands, or set-points and noise, to measure magnitudes on."""
+def trial(vehicle: Vehicle, excitation: str, hidden: Sequence[Hidden] = (), disturbance: str = "none") -> Log:
+    """A short run with always the same commands, to measure magnitudes on.
+
+    Under a controller always the same are its set-points, the noise, and a middling disturbance of a kind.
+    """
     rng = np.random.default_rng(0)
     seconds = ALONE * len(axes(vehicle)) if excitation == "single" else 60.0
     samples, fed = round(seconds / DT), excitation in STEERINGS
     commands = np.empty(0) if fed else operator(vehicle, samples, rng, excitation)
+    weather = None if disturbance == "none" else disturbances.middling(disturbance)
     level = 1.0
     while True:
         try:
-            if fed:
-                return regulated(vehicle, hidden, excitation, samples, np.random.default_rng(0), level)
-            return roll_out(vehicle, hidden, level * commands, 0.5)
+            if not fed:
+                return roll_out(vehicle, hidden, level * commands, 0.5)
+            rng = np.random.default_rng(0)
+            push = None if weather is None else disturbances.over(weather, vehicle, samples, rng)
+            return regulated(vehicle, hidden, excitation, samples, rng, level, push)
         except Unruly:
             level *= 0.7
             if level < 0.3:
@@ -450,7 +457,7 @@ def disturbance_level(vehicle: Vehicle, floor: float, excitation: str) -> float:
         return 0.0
     log = trial(vehicle, excitation)
     size = typical(vehicle, excitation).wrench * np.isin(np.arange(6), vehicle.free)
-    push = gauss_markov(len(log.commands), 0.05 * size, 2.5, np.random.default_rng(0))
+    push = Disturbance(gauss_markov(len(log.commands), 0.05 * size, 2.5, np.random.default_rng(0)))
     error = believed_error(vehicle, roll_out(vehicle, [], log.commands, 0.5, push))
     return round(float(0.05 * np.sqrt((floor**2 - 1.0) / error)), 4)
 
@@ -459,9 +466,7 @@ def floor_under(vehicle: Vehicle, steering: str, disturbance: str) -> float:
     """Factor by which a middling disturbance of this kind raises the error of the true model."""
     if disturbance == "none":
         return 1.0
-    rng, samples = np.random.default_rng(0), 600
-    push = disturbances.over(disturbances.middling(disturbance), vehicle, samples, rng)
-    log = regulated(vehicle, [], steering, samples, rng, 1.0, push)
+    log = trial(vehicle, steering, disturbance=disturbance)
     return float(np.sqrt(1.0 + floor_error(vehicle, [], log)))
 
 
@@ -478,6 +483,7 @@ class Plan:
     test: float
     severity: tuple[float, float] | None = None
     noises: tuple[float, ...] = (1.0,)  # factors on the noise, one drawn for each case
+    feedback: float = 0.0  # share of the cases of each kind that a controller steers
 
 
 KINDS = ("nulls", "singles", "pairs", "outside", "misfit")
@@ -488,6 +494,11 @@ SEVERITIES = {
     "misfit": (2.0, 8.0),
 }
 DISTURBED = {"nulls": 0.34, "misfit": 1.0}
+
+
+def turn(number: int, share: float) -> bool:
+    """Whether it is this number's turn, of numbers from 0 of which a share has theirs."""
+    return int((number + 1) * share) > int(number * share)
 
 
 class Designer:
@@ -540,10 +551,17 @@ class Designer:
         """Writes one case and returns it in words."""
         ship = self.deal("vehicle", list(self.fleet), list(self.fleet))
         vehicle = self.fleet[ship]
-        excitation = str(self.rng.choice(["rich", "weak", "single"], p=[0.8, 0.1, 0.1]))
-        share = DISTURBED.get(kind, 0.2)
-        disturbed = int((number + 1) * share) > int(number * share)
-        floor = float(self.rng.uniform(1.3, 2.5)) if disturbed else 1.0
+        if turn(number + KINDS.index(kind), self.plan.feedback):
+            excitation = self.deal("steering", STEERINGS, STEERINGS)
+            kinds = disturbances.KINDS
+            # Beside a wrong file something always pushes.
+            disturbance = self.deal("disturbance", kinds, kinds[1:] if kind == "misfit" else kinds)
+            floor = floor_under(vehicle, excitation, disturbance)
+        else:
+            excitation = str(self.rng.choice(["rich", "weak", "single"], p=[0.8, 0.1, 0.1]))
+            disturbed = turn(number, DISTURBED.get(kind, 0.2))
+            floor = float(self.rng.uniform(1.3, 2.5)) if disturbed else 1.0
+            disturbance = disturbance_level(vehicle, floor, excitation)
         noise = float(self.rng.choice(self.plan.noises))
         while True:
             hidden = self.hidden(kind, vehicle, severity, floor, excitation)
@@ -551,8 +569,8 @@ class Designer:
                 answer = make_case(
                     folder, ship, hidden, int(self.rng.integers(2**31)),
                     duration_train=self.plan.train, duration_test=self.plan.test,
-                    disturbance=disturbance_level(vehicle, floor, excitation),
-                    misfit=kind == "misfit", excitation=excitation, noise=noise,
+                    disturbance=disturbance, misfit=kind == "misfit",
+                    excitation=excitation, noise=noise,
                 )  # fmt: skip
             except Unruly:
                 continue
@@ -564,8 +582,9 @@ class Designer:
 def design(out: Path, plan: Plan, vehicles: Sequence[str], seed: int) -> None:
     """Writes a balanced set of cases and prints a line for each.
 
-    A third of the nulls, all misfits and a fifth of the rest are disturbed; a tenth is
-    excited weakly, a tenth one axis at a time.
+    Of those that sticks steer a third of the nulls, all misfits and a fifth of the rest are disturbed; a
+    tenth is excited weakly, a tenth one axis at a time. To the others ways of steering and kinds of
+    disturbances are dealt.
     """
     designer = Designer(plan, vehicles, seed)
     for kind in KINDS:
@@ -588,7 +607,7 @@ def line(name: str, vehicle: str, hidden: Sequence[Hidden], answer: dict[str, An
     )
     also = [f"{n}:{t}" for f in answer.get("findings", []) for n, t in f["accept"][1:]]
     return (
-        f"{name:12s} {vehicle:15s} {o['excitation']:6s} "
+        f"{name:12s} {vehicle:15s} {o['excitation']:8s} {o['disturbance']!s:7s} "
         f"severity {o['severity']:6.2f} floor {o['floor']:.2f}  "
         f"{what or 'nothing'}" + (f"  also {also}" if also else "")
     )
@@ -605,13 +624,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--train", type=float, default=300.0, help="length of the training log, s")
     parser.add_argument("--test", type=float, default=150.0, help="length of the test log, s")
+    parser.add_argument("--feedback", type=float, default=0.0, help="share of logs that a controller steers")
     parser.add_argument(
         "--severity", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range for all kinds"
     )
     parser.add_argument("--vehicles", nargs="+", default=sorted(p.stem for p in FOLDER.glob("*.toml")))
     a = parser.parse_args()
     span = None if a.severity is None else (a.severity[0], a.severity[1])
-    plan = Plan(a.nulls, a.singles, a.pairs, a.outside, a.misfit, a.train, a.test, span)
+    plan = Plan(a.nulls, a.singles, a.pairs, a.outside, a.misfit, a.train, a.test, span, feedback=a.feedback)
     design(a.out, plan, a.vehicles, a.seed)
 
 

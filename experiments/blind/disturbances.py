@@ -75,8 +75,8 @@ def gauss_markov(samples: int, deviation: Array, tau: float, rng: np.random.Gene
 def jonswap(omega: Array, peak: float, gamma: float = PEAKEDNESS) -> Array:
     """Shape of a wave spectrum over frequencies [rad/s], after Hasselmann et al. (1973).
 
-    omega^-5 exp(-5/4 (peak / omega)^4) gamma^b with b = exp(-(omega - peak)^2 / (2 sigma^2 peak^2)), sigma 0.07
-    below the peak and 0.09 above it; with gamma = 1 after Pierson and Moskowitz (1964).
+    omega^-5 exp(-5/4 (peak / omega)^4) gamma^b with b = exp(-(omega - peak)^2 / (2 sigma^2 peak^2)), sigma
+    0.07 below the peak and 0.09 above it; with gamma = 1 after Pierson and Moskowitz (1964).
     """
     width = np.where(omega <= peak, 0.07, 0.09) * peak
     narrow = np.exp(-0.5 * ((omega - peak) / width) ** 2)

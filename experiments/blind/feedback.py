@@ -1,8 +1,8 @@
 """Controllers as people's craft have them: they see the samples of the log, noise and all, and nothing else.
 
-- "pilot": heading, speed and depth held at set-points that change in steps.
-- "station": a place and a heading are held; the place is moved in steps.
-- "tracking": speeds, heading and depth follow smooth references, whose accelerations are fed forward.
+- "pilot": speeds, heading, depth and tilt are held at set-points that change in steps.
+- "station": a place, heading, depth and tilt are held, and moved in steps.
+- "tracking": what the pilot holds follows smooth references, whose rates and accelerations are fed forward.
 
 All are PID controllers of the axes that thrusters command, gains by pole placement after Fossen (2011),
 sec. 12.2, from the vehicle's own inertia and full thrust; the pseudo-inverse of the thrust matrix allocates.
@@ -25,6 +25,8 @@ FASTEST = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 1.0])  # rad/s
 LARGE = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 FARTHEST = np.array([2.0, 2.0, 2.0, 0.12, 0.12, 2.0])  # largest step of a set-point [m, rad]
 LIMIT = 0.6  # share of full thrust that one axis may ask for: the others need the thrusters too
+INTEGRAL = 0.5  # share of full thrust that the integral of an error may ask for
+SLOW_SHARE = 0.1  # of the bandwidth, of that integral
 CRUISE = 0.5  # share of full thrust of the largest speed
 ASTERN = -0.3  # share of the largest speed ahead
 HOLD = (4.0, 15.0)  # s, shortest and longest hold of a set-point
@@ -65,6 +67,15 @@ def steady_speed(linear: float, quadratic: float, force: float) -> float:
     return 2.0 * force / (linear + np.sqrt(linear**2 + 4.0 * quadratic * force))
 
 
+def authority(vehicle: Vehicle) -> Array:
+    """Wrench of full thrust on each axis that thrusters can command alone, six rows [N, N m]; else zero."""
+    full = np.zeros(6)
+    for dof, pattern in axes(vehicle):
+        i = DOFS.index(dof)
+        full[i] = (vehicle.allocation @ pattern)[i]
+    return full
+
+
 class Controller:
     """One way of steering on one vehicle, with its set-points.
 
@@ -77,56 +88,53 @@ class Controller:
     def __init__(
         self, vehicle: Vehicle, steering: str, samples: int, rng: np.random.Generator, level: float = 1.0
     ) -> None:
-        allocation, self.full = vehicle.allocation, np.zeros(6)
-        for dof, pattern in axes(vehicle):
-            i = DOFS.index(dof)
-            self.full[i] = (allocation @ pattern)[i]
+        self.vehicle, self.full = vehicle, authority(vehicle)
         self.steered = self.full > 0.0
-        self.allocate = np.linalg.pinv(allocation[self.steered])
+        self.allocate = np.linalg.pinv(vehicle.allocation[self.steered])
         self.inertia = np.diag(vehicle.rigid + vehicle.added)
-        most = self.full / self.inertia
-        self.bandwidth = np.clip(np.sqrt(most / LARGE), SLOWEST, FASTEST)
-        # Speeds are steered by their integral: there is no place that they are off.
-        self.by_speed = np.isin(np.arange(6), [0, 1] if steering != "station" else []) & self.steered
+        self.most = self.full / self.inertia  # accelerations of full thrust
+        self.bandwidth = np.clip(np.sqrt(self.most / LARGE), SLOWEST, FASTEST)
         self.keeps_place = steering == "station"
-        self.goals = np.zeros((samples, 6))  # of speed, or of place and attitude, by axis
-        self.rates = np.zeros((samples, 6))
-        self.bends = np.zeros((samples, 6))
-        self.integral, self.off, self.strayed = np.zeros(6), np.zeros(6), 0
-        self.heading: float | None = None
-        self.homing, self.astern = 0.0, False
-        for i in np.flatnonzero(self.steered | (self.keeps_place & (np.arange(6) < 2))):
-            largest = level * self.reach(vehicle, int(i), most)
-            low = ASTERN if self.by_speed[i] and i == 0 else -1.0
-            turning = i == 5
-
-            def goal(now: float, largest: float = largest, low: float = low, go_on: bool = turning) -> float:
-                return now * go_on + float(rng.uniform(low, 1.0)) * largest
-
-            self.goals[:, i] = steps(samples, rng, goal)
+        horizontal = np.arange(6) < 2
+        self.by_speed = self.steered & horizontal & (not self.keeps_place)
+        # Of place and attitude, or of speed; their rates; the rates of those.
+        self.goals, self.rates, self.bends = np.zeros((3, samples, 6))
+        self.integral, self.strayed = np.zeros(6), 0
+        self.heading, self.homing, self.astern = 0.0, 0.0, False
+        for i in np.flatnonzero(self.steered | (horizontal & self.keeps_place)).tolist():
+            goals = self.set_points(i, level, samples, rng)
             if steering == "tracking":
-                value, rate, bend = smooth(self.goals[:, i], self.bandwidth[i]).T
-                self.goals[:, i] = value
-                self.rates[:, i], self.bends[:, i] = (value, rate) if self.by_speed[i] else (rate, bend)
-            elif self.by_speed[i]:
-                self.rates[:, i] = self.goals[:, i]
+                x, rate, bend = smooth(goals, self.bandwidth[i]).T
+            else:
+                x, rate, bend = goals, np.zeros(samples), np.zeros(samples)
+            if self.by_speed[i]:
+                self.rates[:, i], self.bends[:, i] = x, rate
+            else:
+                self.goals[:, i], self.rates[:, i], self.bends[:, i] = x, rate, bend
 
-    def reach(self, vehicle: Vehicle, i: int, most: Array) -> float:
+    def set_points(self, i: int, level: float, samples: int, rng: np.random.Generator) -> Array:
+        """Set-points of an axis: speeds, headings that go on from one another, places, depths or tilts."""
+        largest, lowest = level * self.reach(i), ASTERN if i == 0 and self.by_speed[i] else -1.0
+        goes_on = 1.0 if i == 5 else 0.0
+        return steps(samples, rng, lambda now: goes_on * now + largest * float(rng.uniform(lowest, 1.0)))
+
+    def reach(self, i: int) -> float:
         """Largest set-point of an axis: a speed, or a step that asks for no more than twice full thrust."""
+        v = self.vehicle
         if self.by_speed[i]:
-            return steady_speed(vehicle.linear[i, i], vehicle.quadratic[i, i], CRUISE * self.full[i])
+            return steady_speed(v.linear[i, i], v.quadratic[i, i], CRUISE * self.full[i])
         if i in (3, 4):  # a craft that rights itself is tilted by a moment as long as the step lasts
-            righting = vehicle.weight * vehicle.cog[2] - vehicle.buoyancy * vehicle.cob[2]
+            righting = v.weight * v.cog[2] - v.buoyancy * v.cob[2]
             return float(min(FARTHEST[i], 0.5 * LIMIT * self.full[i] / max(righting, 1e-9)))
         if i < 2:  # a place is moved in earth axes: as far as the weaker of the two axes follows
-            i = min(np.flatnonzero(self.steered[:2]), key=lambda j: most[j])
-        return float(min(FARTHEST[i], 2.0 * most[i] / self.bandwidth[i] ** 2))
+            i = min((j for j in (0, 1) if self.steered[j]), key=lambda j: self.most[j])
+        return float(min(FARTHEST[i], 2.0 * self.most[i] / self.bandwidth[i] ** 2))
 
     def __call__(self, k: int, seen: Array) -> Array:
         """Commands (thrusters,) from the logged sample `k`: pose and velocity, 12 numbers."""
         pose, velocity = seen[:6], seen[6:12]
-        if self.heading is None:
-            self.heading = self.homing = pose[5]  # headings count from that of the start
+        if k == 0:  # headings count from that of the start
+            self.heading = self.homing = pose[5]
         error = self.goals[k] - pose
         error[5] += self.heading
         if self.keeps_place:
@@ -135,21 +143,20 @@ class Controller:
         self.strayed += bool(self.steered[5] and abs(error[5]) > LOST)
         slow = self.rates[k] - velocity
         stiffness = self.inertia * self.bandwidth**2
-        room = np.divide(0.5 * self.full, stiffness)  # an integral asks for half of full thrust at most
-        self.off = np.clip(self.off + DT * slow, -room, room)
-        error = np.where(self.by_speed, self.off, error)
-        wrench = self.inertia * (self.bends[k] + 2.0 * DAMPING * self.bandwidth * slow)
-        wrench += stiffness * error + self.integral
-        grown = self.integral + DT * 0.1 * self.bandwidth * stiffness * error
-        self.integral = np.where(self.by_speed, 0.0, np.clip(grown, -0.5 * self.full, 0.5 * self.full))
+        # The error of a speed is that of a place when integrated; a place has an integral of its own beside.
+        lasting = np.where(self.by_speed, slow, SLOW_SHARE * self.bandwidth * error)
+        most = INTEGRAL * self.full
+        self.integral = np.clip(self.integral + DT * stiffness * lasting, -most, most)
+        wrench = self.inertia * (self.bends[k] + 2.0 * DAMPING * self.bandwidth * slow) + self.integral
+        wrench += np.where(self.by_speed, 0.0, stiffness * error)
         wrench = np.clip(wrench, -LIMIT * self.full, LIMIT * self.full)
         return np.clip(self.allocate @ wrench[self.steered], -1.0, 1.0).round(6)
 
     def home(self, away: Array, heading: float, error: Array) -> None:
         """Errors of place and heading towards a place `away` in earth axes, from a heading.
 
-        A craft that cannot move sideways turns its bow to a place that it has strayed from, or its stern where
-        that is much nearer, before it goes there, and stays so when it is there.
+        A craft that cannot move sideways turns its bow to a place that it has strayed from, or its stern
+        where that is much nearer, before it goes there, and stays so when it is there.
         """
         cos, sin = np.cos(heading), np.sin(heading)
         error[:2] = cos * away[0] + sin * away[1], cos * away[1] - sin * away[0]

@@ -52,6 +52,8 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, 
     Outside the catalogue `first` means that the cause is said to be unknown, on an axis that is
     concerned, and nothing is named; `whole` that no other axis is, and that a right signal is among those
     it is said to depend on (`signal` alone).
+
+    Where nothing is hidden, what pushes the craft may be named (`also`) if the test log confirms it.
     """
     findings = diagnosis["findings"]
     unknown = {f["target"] for f in findings if f["effect"] == "unknown"}
@@ -67,7 +69,9 @@ def grade(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> dict[str, 
     hidden: Sequence[Mapping[str, Any]] = answer["findings"]
     if not hidden:
         nothing = diagnosis["verdict"] == "nothing_found" and not findings
-        return {"first": nothing, "whole": nothing}
+        pushed = bool(findings) and {f["effect"] for f in findings} <= set(answer.get("also", ()))
+        right = nothing or (pushed and (diagnosis["gain"]["ratio_ci95"] or (1.0, 1.0))[1] < 1.0)
+        return {"first": right, "whole": right}
     right = [any(matches(f, h) for h in hidden) for f in findings]
     aside = [kind(answer) == "misfit" and f["effect"] in DAMP for f in findings]
     judged = [r for r, a in zip(right, aside, strict=True) if r or not a]
