@@ -77,3 +77,27 @@ def test_a_program_is_its_sources(tmp_path):
     (tmp_path / "a.py").write_text("other ")
     assert program(tmp_path) != before
     assert program().split()[0][0].isdigit()
+
+
+def test_logs_under_feedback_stand_beside_those_of_sticks():
+    gain = ("thruster_gain", "all")
+    named, fed = {"value": 1.0, "true": 1.1, "std": 0.1}, {"steering": "station", "disturbance": "waves"}
+    off = {"value": 1.0, "true": 1.5, "std": 0.1}
+    s = summary(
+        [
+            row("single", [gain], gain, parameters=[named]),
+            row("single", [gain], gain, parameters=[named, off], **fed),
+            row("single", [gain], first=False, whole=False, **fed),
+            row("null", [], steering="sticks"),
+        ]
+    )
+    first, holding = s["targets"][0], s["targets"][-1]
+    assert [(first[by]["right"], first[by]["of"], first[by]["met"]) for by in ("sticks", "feedback")] == [
+        (1, 1, True),
+        (1, 2, False),
+    ]
+    assert [(holding[by]["right"], holding[by]["of"]) for by in ("sticks", "feedback")] == [(1, 1), (1, 2)]
+    assert not holding["sticks"]["met"]  # all of them are more than 95 % intervals should hold
+    text = table(s)
+    assert "| 1 of 1 | 100.0 (20.7 to 100.0) | 98 | yes | 1 of 2 | 50.0 (9.5 to 90.5) | 95 | no |" in text
+    assert "| station, waves | 2.00 |" in text

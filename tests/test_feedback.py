@@ -200,7 +200,8 @@ def test_wave_forces_have_their_size_peak_period_and_direction():
     omega = 2.0 * np.pi * np.fft.rfftfreq(samples, DT)
     peak = 2.0 * np.pi / period
     # The variance below, about and above the peak is that of the spectrum.
-    fine = np.linspace(*(np.array(disturbances.SPECTRUM) * peak), 20000)
+    first, last = disturbances.SPECTRUM
+    fine = np.linspace(first * peak, last * peak, 20000)
     for low, high in ((0.6, 0.9), (0.9, 1.15), (1.15, 2.5)):
         share = power[(omega >= low * peak) & (omega < high * peak)].sum() / power.sum()
         inside = (fine >= low * peak) & (fine < high * peak)

@@ -493,6 +493,9 @@ SEVERITIES = {
     "outside": (1.8, 8.0),
     "misfit": (2.0, 8.0),
 }
+# What pushes may leave an error many times that of noise: above this one, an effect under feedback is at most
+# so plain, or it would be grosser than its craft could be steered with.
+GROSS, PLAIN = 8.0, 2.0
 DISTURBED = {"nulls": 0.34, "misfit": 1.0}
 
 
@@ -524,6 +527,8 @@ class Designer:
     ) -> list[Hidden]:
         """What is hidden in one case; severities count above the floor of the disturbance."""
         above = np.array([severity, self.rng.uniform(1.8, 4.0)])
+        if excitation in STEERINGS:
+            above = np.minimum(above, max(PLAIN, GROSS / floor))
         sizes = np.sqrt(1.0 + (above**2 - 1.0) * floor**2)
         if kind == "nulls":
             return []
