@@ -493,8 +493,8 @@ SEVERITIES = {
     "outside": (1.8, 8.0),
     "misfit": (2.0, 8.0),
 }
-# What pushes may leave an error many times that of noise: above this one, an effect under feedback is at most
-# so plain, or it would be grosser than its craft could be steered with.
+# Largest error by an effect under feedback, in units of the noise, and how far above the error that a
+# disturbance leaves where that is as large: more would be grosser than what its craft could be steered with.
 GROSS, PLAIN = 8.0, 2.0
 DISTURBED = {"nulls": 0.34, "misfit": 1.0}
 
