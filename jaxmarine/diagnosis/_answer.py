@@ -136,7 +136,7 @@ def findings_of(
             name: Parameter(value, float(s), suspect.effect.units[name])
             for (name, value), s in zip(values.items(), std[where], strict=True)
         }
-        without = bench.refine(bench.without_member(model, i), STEPS, ROUGH)
+        without = bench.likeliest(bench.without_member(model, i), STEPS, ROUGH)
         saved = 2 * (without.cost - model.cost)
         if not np.isfinite(saved):
             # Without it the vehicle cannot be simulated along the log: the linearisation still tells.

@@ -126,7 +126,7 @@ def _one_for_many(
 
 def _refitted(bench: Workbench, model: Model, before: float) -> Model:
     """The model refined; from neutral members too where what they had bent to is far from any use."""
-    fitted = bench.refine(model)
+    fitted = bench.likeliest(model)
     if fitted.cost > ASTRAY * before:
         anew = dataclasses.replace(bench.as_filed(model), z=np.zeros_like(model.z))
         fitted = min(fitted, bench.refine(anew), key=lambda m: m.cost)
@@ -158,7 +158,7 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
     if best is not own:
         instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())
         instead.z[: len(bench.base)] = 0.0
-        instead = bench.refine(instead)
+        instead = bench.likeliest(instead)
         if replaces(bench, instead, best.member, model, member, phi):
             return instead, (best, *(t for t in trials if t is not best))
     return model, (own, *(t for t in trials if t is not own))

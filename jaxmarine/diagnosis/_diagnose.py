@@ -21,7 +21,7 @@ from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
 from ._plausible import excesses, told
-from ._prepare import opened_with, sharpened
+from ._prepare import Opened, opened_with, sharpened
 from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
@@ -60,10 +60,10 @@ def diagnose(
     opened = opened_with(vehicle, train, test, catalogue, window, progress)
     if opened.nameless:
         bench, rounds, measured, told, lost = opened.bench, (), None, [], ()
-        rival = Unnamed(bench)
+        rival = Unnamed(bench, opened.feedback)
         answer = rival.answer
     else:
-        bench, rival, found, lost = _searched(opened.bench, opened.begun, progress)
+        bench, rival, found, lost = _searched(opened, progress)
         answer, rounds = _chosen(bench, rival, found, progress)
         answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
@@ -82,7 +82,7 @@ def diagnose(
     unexplained = _unexplained(answer, terms)
     if not now.white:
         known = {one.target for one in unexplained}
-        unexplained += excesses(missing, (vehicle, extended), logs, now.phi, known, bench.quiet)
+        unexplained += excesses(missing, (vehicle, extended), logs, now.plain_phi, known, bench.quiet)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
         (True, False): "explained",
@@ -101,7 +101,7 @@ def diagnose(
         rounds=tuple(weighed(bench, one) for one in rounds),
         groups=groups(findings),
         misfit_before=2 * (Unnamed(connected) if opened.exchanged else rival).start.cost / bench.samples,
-        misfit_after=float(now.stats.chi2.sum()) / bench.samples,
+        misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
         predictions=measured[1],
         missing_before=missing_wrench(rival.judged.knots),
         missing_after=missing,
@@ -126,20 +126,19 @@ def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[
     return tuple(reversed(once.values()))
 
 
-def _searched(
-    bench: Workbench, begun: Model, progress: Progress
-) -> tuple[Workbench, Unnamed, Found, tuple[Dropped, ...]]:
+def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, Found, tuple[Dropped, ...]]:
     """What the search finds, on the workbench with the noises that it leaves.
 
     And what it found before that and did not find again.
     """
-    rival = Unnamed(bench)
+    bench, rival = opened.bench, Unnamed(opened.bench, opened.feedback)
+    begun = bench.disturbed(opened.begun) if opened.feedback else opened.begun
     found = search(bench, bench.fitted(begun), progress, rival.beats)
     sharper = sharpened(bench, found.model)
     if sharper is None:
         return bench, rival, found, ()
     progress(AGAIN)
-    rival, first = Unnamed(sharper), found.model
+    rival, first = Unnamed(sharper, opened.feedback), found.model
     found = search(sharper, sharper.fitted(first), progress, rival.beats)
     return sharper, rival, found, gone(sharper, first, found.model, SHARPER)
 
@@ -245,7 +244,7 @@ def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ..
             since=None,
             since_log=None,
             parameters={},
-            log_evidence=0.5 * one.saved / answer.judged.phi,
+            log_evidence=0.5 * one.saved / answer.judged.plain_phi,
             signals=one.signals,
             learned=one.dof in {term.target for term in terms},
         )

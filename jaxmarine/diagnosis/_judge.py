@@ -18,13 +18,18 @@ DEVIATIONS, ROUNDING, SCATTER = 5.0, 0.01, 1.6
 class Judged:
     """A model with what its residual says.
 
-    - `phi`: dispersion of the windows' scores; `knots`: the missing wrench.
+    - `stats`, `phi`: its statistics and the dispersion of the windows' scores, beside its disturbance.
+    - `left`: the missing wrench beside the disturbance.
+    - `plain`, `plain_phi`, `knots`: the same model, dispersion and the missing wrench without a disturbance.
     - `white`: whether only sensor noise is left: its size is right, and the scores scatter like it.
     """
 
     model: Model
     stats: Reduced
     phi: float
+    left: Knots
+    plain: Model
+    plain_phi: float
     knots: Knots
     white: bool
 
@@ -33,6 +38,10 @@ def judged(bench: Workbench, model: Model) -> Judged:
     """The model with what its residual says, by one linearisation."""
     stats = bench.screen(model)
     phi = dispersion(bench, model, stats)
+    plain = bench.undisturbed(model)
+    plain_phi = dispersion(bench, plain, bench.screen(plain))
+    missing = knots(bench, plain)
     size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
-    white = bool(stats.chi2.sum() / bench.freedom < size and phi < SCATTER and not bench.raised)
-    return Judged(model, stats, phi, knots(bench, model), white)
+    quiet = missing.stats.chi2.sum() / bench.freedom < size and plain_phi < SCATTER and not bench.raised
+    left = missing if plain is model else knots(bench, model)
+    return Judged(model, stats, phi, left, plain, plain_phi, missing, bool(quiet))

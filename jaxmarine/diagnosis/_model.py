@@ -21,18 +21,26 @@ from ..fitting import (
     Affine,
     Check,
     Cut,
+    Disturbance,
+    Likelihood,
+    Path,
     Problem,
     Room,
     Segments,
     Task,
     coefficient_name,
+    estimated,
     evaluated,
+    free_wrench,
     largest,
+    lines,
+    maximise,
     measured_channels,
     overdispersion,
     predict,
     refine_windows,
     scaled,
+    screened,
     screening,
     segments,
     start_precision,
@@ -41,6 +49,7 @@ from ..fitting import (
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
 from ._filed import base_coefficients
+from ._fine import Fine, parts_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
 from ._signals import Places, places
@@ -60,6 +69,9 @@ MOST_DAMPING = 0.1
 # A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
 # some ten thousand samples has left, so that no parameter is a quarter of its standard error away.
 EXACT = 1e-6
+# Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
+# are worth one more.
+ESTIMATES, LIKELIER = 4, 0.5
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -97,6 +109,14 @@ class Member:
 
 
 @dataclasses.dataclass(frozen=True)
+class Beside:
+    """A disturbance, and the path along which the windows are followed beside it."""
+
+    force: Disturbance
+    path: Path
+
+
+@dataclasses.dataclass(frozen=True)
 class Model:
     """Members, and where the last refinement left all numbers.
 
@@ -106,6 +126,8 @@ class Model:
     - `weight`: of the prior on the file's coefficients, by how much the windows' scores scatter more than
       noise of the stated size would make them: that much more is left to bend to, and means nothing.
     - `frozen`: whether the file's coefficients are held at their values; `held`: those that are in any case.
+    - `beside`: the disturbance beside which it is refined, None for white noise alone. With it `cost` is half
+      of minus twice the logarithm of the likelihood, but for a constant.
     """
 
     members: tuple[Member, ...]
@@ -117,6 +139,7 @@ class Model:
     weight: float = 1.0
     frozen: bool = False
     held: tuple[int, ...] = ()
+    beside: Beside | None = None
 
 
 class Workbench:
@@ -159,7 +182,10 @@ class Workbench:
         self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
         self.room = Room.of(data.records, data.windows)
         # No more than samples: a knot without one would stand for nothing.
-        self.knots = min(max(2, round(data.length / KNOT)), data.windows.step.shape[1])
+        steps = data.windows.step.shape[1]
+        parts = parts_of(steps, float(np.median([log.dt for log in data.logs])))
+        of_part = round(data.length / parts / KNOT)
+        self.knots = parts * min(max(2 if parts == 1 else 1, of_part), steps // parts)
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
@@ -176,6 +202,12 @@ class Workbench:
             jnp.asarray(split),
             apart=False,
         )
+
+    @functools.cached_property
+    def fine(self) -> Fine:
+        """The windows cut up for the filter."""
+        parts = self._problem, self.vehicle, self.data, self.room, self._groups, self._most_groups
+        return Fine.of(*parts)
 
     @functools.cached_property
     def places(self) -> Places:
@@ -300,14 +332,15 @@ class Workbench:
             out += np.flatnonzero(columns[:, own].any(axis=1)).tolist()
         return tuple(out)
 
-    def problem(self, members: Sequence[Member]) -> Problem:
-        """The windows' residuals, with the segments that the beginnings make."""
-        steps = self._problem.records.t.shape[1]
+    def problem(self, members: Sequence[Member], whole: Problem | None = None) -> Problem:
+        """The windows' residuals, with the segments that the beginnings make; `whole`: of other windows."""
+        whole = self._problem if whole is None else whole
+        steps = whole.records.t.shape[1]
         stretches = self.stretches(members)
         rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in stretches.of_samples]
         return eqx.tree_at(
             lambda p: (p.records.segment, p.plant_of.gates),
-            self._problem,
+            whole,
             (jnp.asarray(np.array(rows)), jnp.asarray(filled(stretches.gates))),
         )
 
@@ -349,16 +382,69 @@ class Workbench:
         """
         z = self._padded(model.z)
         damping = float(np.clip(model.damping, LEAST_DAMPING, MOST_DAMPING))
-        out = refine_windows(
-            self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
-        )
+        if model.beside is not None:
+            force, path = model.beside.force, model.beside.path
+            likely = self._likelihood(model, force)
+            out = maximise(likely, jnp.asarray(z), path, max_steps, rtol * self.samples, damping)
+            moved = {"beside": Beside(force, out.path)}
+        else:
+            out = refine_windows(
+                self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
+            )
+            moved = {"delta": out.delta}
         cost = float(out.cost)
         if not np.isfinite(cost) and model.z[: len(self.base)].any():
             return self.refine(self.as_filed(model), max_steps, rtol)
         promised = cost - float(out.promised) if np.isfinite(cost) else np.inf
         z = np.asarray(out.z)[: len(model.z)]
         damping = float(out.damping)
-        return dataclasses.replace(model, z=z, delta=out.delta, cost=cost, promised=promised, damping=damping)
+        return dataclasses.replace(model, z=z, cost=cost, promised=promised, damping=damping, **moved)
+
+    def _likelihood(self, model: Model, force: Disturbance) -> Likelihood:
+        task = self.task(model)
+        problem = self.problem(model.members, self.fine.problem)
+        return Likelihood(problem, task.affine, task.precision, force)
+
+    def disturbed(self, model: Model) -> Model:
+        """The model beside a disturbance of the usual size, along the path as measured."""
+        return dataclasses.replace(model, beside=Beside(self.fine.begin, self.fine.path), cost=np.inf)
+
+    def likeliest(
+        self, model: Model, max_steps: int = 25, rtol: float = EXACT, times: int = ESTIMATES
+    ) -> Model:
+        """The model refined, with the disturbance that makes the logs most likely beside it.
+
+        - `times`: that the two are done in turn at most.
+        """
+        model = self.refine(model, max_steps, rtol)
+        for _ in range(times):
+            if model.beside is None or not np.isfinite(model.cost):
+                break
+            problem = self.problem(model.members, self.fine.problem)
+            force, path = model.beside.force, model.beside.path
+            every = lines(problem, jnp.asarray(self.theta(model)), force, path)
+            now = Beside(estimated(problem, every, force, self.fine.unit), path)
+            before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
+            if not before.cost - model.cost > LIKELIER:
+                return model if model.cost < before.cost else before
+        return model
+
+    def undisturbed(self, model: Model) -> Model:
+        """The model as it is for white noise alone, with windows that begin as suits it best."""
+        if model.beside is None:
+            return model
+        white = dataclasses.replace(model, beside=None, damping=LEAST_DAMPING)
+        task = self.task(white)
+        # Nothing but the starts is free.
+        fixed = eqx.tree_at(lambda t: (t.affine, t.precision), task, self._fixed(white, task))
+        out = refine_windows(fixed, jnp.zeros(self.slots(len(white.z))), white.delta, 10, rtol=1e-5)
+        prior = float(self._precision(white) @ white.z**2)
+        return dataclasses.replace(white, delta=out.delta, cost=float(out.cost) + 0.5 * prior)
+
+    def _fixed(self, model: Model, task: Task) -> tuple[Affine, Array]:
+        here = task.affine.at(jnp.asarray(self._padded(model.z)))
+        none = dataclasses.replace(here, columns=jnp.zeros_like(here.columns))
+        return none, jnp.ones_like(task.precision)
 
     def refine_each(self, models: Sequence[Model], max_steps: int = 25, rtol: float = EXACT) -> list[Model]:
         """`refine` of each, as many at once as there are processors: a compiled program keeps one busy."""
@@ -373,9 +459,20 @@ class Workbench:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return [*first, *pool.map(refined, models[1:])]
 
+    def likeliest_each(self, models: Sequence[Model], max_steps: int, rtol: float, times: int) -> list[Model]:
+        """`likeliest` of each, as `refine_each`."""
+
+        def refined(model: Model) -> Model:
+            with jax.enable_x64(True):
+                return self.likeliest(model, max_steps, rtol, times)
+
+        first = [refined(model) for model in models[:1]]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return [*first, *pool.map(refined, models[1:])]
+
     def fitted(self, model: Model) -> Model:
         """The model refined; raises `InputError` where the vehicle runs away along the logs."""
-        out = self.refine(model)
+        out = self.likeliest(model)
         if not np.isfinite(out.cost):
             raise runaway(self.data.logs[0].name, self.vehicle.name)
         return out
@@ -415,6 +512,7 @@ class Workbench:
 
         That of the sensors where it is no more; see `fitting._weights`.
         """
+        model = self.undisturbed(model)
         channels = predict(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)[0]
         windows, own = self.data.windows, self._own_weight
         error = np.asarray(wrapped(np.asarray(channels)[: self.count] - np.asarray(windows.measured)))
@@ -526,13 +624,55 @@ class Workbench:
     def screen(self, model: Model) -> Reduced:
         """Reduced statistics of every parameter of the catalogue at the model, then of members that begin.
 
-        Of each group of windows; of each window, where there are not many.
+        Of each group of windows; of each window, where there are not many. Beside a disturbance the
+        chi-square is minus twice the logarithm of the likelihood of each given all before it.
         """
-        return self._screening(model)[0]
+        if model.beside is None:
+            return self._screening(model)[0]
+        problem = self.problem(model.members, self.fine.problem)
+        groups = jnp.asarray(self.fine.group)
+        found = screened(
+            problem,
+            self._every_column(model),
+            model.beside.force,
+            model.beside.path,
+            groups,
+            self._most_groups,
+        )
+        count = len(self.group_windows)
+        of = self.fine.group[: self.fine.count]
+        first = np.flatnonzero(np.diff(of, prepend=-1))
+        return Reduced(
+            np.add.reduceat(np.asarray(found.minus_twice)[: self.fine.count], first),
+            np.add.reduceat(np.asarray(found.g)[: self.fine.count], first, axis=0),
+            np.asarray(found.h)[:count],
+        )
 
     def with_knots(self, model: Model) -> Reduced:
-        """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window."""
-        return self._screening(model)[1]
+        """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window.
+
+        Beside a disturbance what is left of the latter, and of the chi-square, once it is filtered out.
+        """
+        if model.beside is None:
+            return self._screening(model)[1]
+        problem, affine = self.problem(model.members, self.fine.problem), self.affine(model.members)
+        affine = affine.at(jnp.asarray(self._padded(model.z)))
+        parts = self.fine.parts
+        group = jnp.arange(self.room.windows * parts) // parts
+        found = free_wrench(
+            problem,
+            affine,
+            model.beside.force,
+            model.beside.path,
+            self.knots // parts,
+            parts,
+            group,
+            self.room.windows,
+        )
+        given, width = affine.acts.shape[1], len(model.z)
+        kept = np.concatenate([np.arange(width), given + np.arange(6 * self.knots + 1)])
+        h = np.asarray(found)[: self.count][:, kept[:, None], kept]
+        return Reduced(h[:, -1, -1], h[:, :-1, -1], h[:, :-1, :-1])
 
     def _own_columns(self, model: Model) -> np.ndarray:
         """The model's z and the knots among the columns of a screening."""
@@ -543,11 +683,8 @@ class Workbench:
         out[len(known) :, known.shape[1] :] = np.eye(more)
         return out
 
-    def _screening(self, model: Model) -> tuple[Reduced, Reduced]:
-        """The last one is kept: screening and missing wrench are commonly asked of the same model."""
-        if self._screened is not None and self._screened[0] is model:
-            return self._screened[1]
-        self._screened = None
+    def _every_column(self, model: Model) -> Affine:
+        """From every parameter of the catalogue, then of members that begin, to those of each segment."""
         size, own = self.layout.size, self.affine(model.members)
         columns = np.zeros((size, size + BEGUN))
         columns[:, :size] = np.eye(size)
@@ -559,7 +696,14 @@ class Workbench:
                 columns[:, at : at + width] = own.columns[:, where]
                 acts[:, at : at + width] = own.acts[:, where]
                 at += width
-        affine = Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
+        return Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
+
+    def _screening(self, model: Model) -> tuple[Reduced, Reduced]:
+        """The last one is kept: screening and missing wrench are commonly asked of the same model."""
+        if self._screened is not None and self._screened[0] is model:
+            return self._screened[1]
+        self._screened = None
+        size, affine = self.layout.size, self._every_column(model)
         asked = self._own_columns(model)
         room = np.zeros((len(asked), SLOTS + 6 * self.knots))
         room[:, : asked.shape[1]] = asked
@@ -590,6 +734,7 @@ class Workbench:
 
     def check(self, model: Model) -> Check:
         """What the logs tell of the file's coefficients, at the model."""
+        model = self.undisturbed(model)
         z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
         refined = refine_windows(task, jnp.asarray(z), model.delta, 1)

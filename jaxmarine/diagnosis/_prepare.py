@@ -10,8 +10,8 @@ from .._errors import InputError
 from .._progress import FITTING, Progress, silent
 from .._types import CHANNELS
 from ..effects import AbstractEffect, ExchangedThrusters
-from ..fitting import GrossError, contradiction, cut, misconnected, noise_of, reviewed, settled
-from ..logs import Log
+from ..fitting import GrossError, answers, contradiction, cut, misconnected, noise_of, reviewed, settled
+from ..logs import Log, Note
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
@@ -59,6 +59,7 @@ class Opened:
     - `gross`: sentences on gross errors, which come before all else.
     - `exchanged`: columns that are, which the workbench's vehicle has exchanged already.
     - `nameless`: whether something that no effect is makes all names worthless.
+    - `feedback`: whether commands answer what was measured, and with it what disturbs the craft.
     """
 
     bench: Workbench
@@ -68,6 +69,7 @@ class Opened:
     notes: tuple[str, ...]
     exchanged: tuple[Placed, ...] = ()
     nameless: bool = False
+    feedback: bool = False
 
 
 def opened_with(
@@ -101,10 +103,21 @@ def opened_with(
     tests, left_out = _predictable(bench, tests)
     progress(FITTING)
     begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
-    notes = [*notes, *doubled, *reviews, *left_out, *stuck(bench), *told]
+    answered = [log for log in logs if answers(log)]
+    notes = [*notes, *doubled, *reviews, *left_out, *stuck(bench), *told, *map(_said, answered)]
     gross = tuple(one.told for one in wrong)
     nameless = any(not one.causes for one in wrong)
-    return Opened(rescaled(bench, begun), begun, tests, gross, tuple(notes), exchanged, nameless)
+    return Opened(
+        rescaled(bench, begun), begun, tests, gross, tuple(notes), exchanged, nameless, bool(answered)
+    )
+
+
+def _said(log: Log) -> Note:
+    words = (
+        "commands answer what was measured, as those of an autopilot do; what disturbs the craft is "
+        "estimated with all else, or what it does would be taken for what the thrusters do."
+    )
+    return Note.of(log.name, f"{{log}}: its {words}", f"{{logs}}: their {words}")
 
 
 def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:

@@ -23,6 +23,8 @@ CHANCES = 3
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
 MORE, AFRESH = 5, 2
+# Suspects that either way of asking proposes in a round.
+PROPOSED = 4
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -288,8 +290,32 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
-    """The most promising suspects, each refitted beside what the model has, the best of white noise first."""
+    """The most promising suspects, each at its likeliest beside what the model has, the best first.
+
+    What promises most is asked twice: beside the disturbance that the model has now, which is as large as all
+    that it misses, and as if there were none. A disturbance as large as that hides a cause that is always
+    there; and without one whatever goes with it seems to be its cause.
+    """
     progress(f"scoring {len(bench.layout.suspects)} suspects")
+    plain = bench.undisturbed(model)
+    if model.beside is None:
+        return _by_penalty(bench, _weighed(bench, model, stats, progress))
+    plain = bench.refine(plain)
+    without = _weighed(bench, plain, bench.screen(plain), progress) if np.isfinite(plain.cost) else []
+    starts = {}
+    for trial in _by_penalty(bench, without)[:PROPOSED]:
+        starts[trial.member] = trial.model.z[bench.slices(trial.model.members)[-1]]
+    for member in shortlist(bench, model, stats)[0][:PROPOSED]:
+        starts.setdefault(member, np.zeros(bench.layout.columns[member.suspect].shape[1]))
+    progress("refitting the best suspects")
+    begun = [bench.with_member(model, member, value) for member, value in starts.items()]
+    refitted = bench.likeliest_each(begun, STEPS, ROUGH, 2)
+    trials = [trial_of(model, member, one) for member, one in zip(starts, refitted, strict=True)]
+    return _by_penalty(bench, [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)])
+
+
+def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:
+    """The most promising suspects, each refitted beside what the model has."""
     ranked, begun = shortlist(bench, model, stats)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
     late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
@@ -300,7 +326,7 @@ def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = s
     if best > PROBED or not trials:
         progress("refitting the best suspects")
         trials += _trials(bench, model, probes(bench, model, best))
-    return _by_penalty(bench, trials)
+    return trials
 
 
 def _by_penalty(bench: Workbench, trials: Sequence[Trial]) -> list[Trial]:
@@ -312,7 +338,7 @@ def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress =
 
     Free, the file's coefficients bend to what a cause does, and leave it nothing to explain.
     """
-    held = bench.refine(bench.frozen(bench.as_filed(model)))
+    held = bench.likeliest(bench.frozen(bench.as_filed(model)))
     bent = 2 * (held.cost - model.cost) > BENT * phi
     return weigh(bench, held, bench.screen(held), progress) if bent and np.isfinite(held.cost) else []
 
@@ -386,7 +412,7 @@ def _decided(
     # then those that save nearly as much are looked at too.
     rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
     for trial in [*trials[:1], *rivals[: CHANCES - 1]]:
-        exact = bench.refine(trial.model)
+        exact = bench.likeliest(trial.model)
         if not bench.stands(exact, model):
             continue
         winner = trial_of(model, trial.member, exact)
@@ -415,7 +441,7 @@ def _by_evidence(
     for trial in others:
         hoped = trial.saved + 2 * max(trial.model.cost - trial.model.promised, 0.0)
         if evidence(bench, trial.member, hoped, phi) > least:
-            exact = bench.refine(trial.model)
+            exact = bench.likeliest(trial.model)
             if not bench.stands(exact, model):
                 continue
             trial = trial_of(model, trial.member, exact)

@@ -440,3 +440,42 @@ def cost_of_removal(
             pair.append(float(2 * g @ (without - least) + without @ h @ without - least @ h @ least))
         out.append((pair[0], pair[1]))
     return out
+
+
+def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
+    """Those of some dependences without which the logs are clearly less likely, each beside the ones before.
+
+    The evidence of a dependence whose shapes have coefficients of one unknown size, z integrated out, against
+    odds for how many sets of signals there are to try. A disturbance that goes with a signal for a while, as
+    with a command that answers it, has its own place in the likelihood and needs no dependence.
+
+    - `k`: beside the disturbance.
+    """
+    enough = np.log(len(k.places.signals) ** 2 * k.free.sum()) + 0.5 * LEAST
+    accepted: tuple[Dependence, ...] = ()
+    pulls = np.zeros(0)
+    for one in found:
+        wrenches = _wrenches(k, (*accepted, one))
+        size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
+        g, h = _beside(k, wrenches / np.maximum(size, 1e-300))
+        first = len(g) - one.features.shape[-1]
+        own, rest = np.arange(first, len(g)), np.arange(first)
+        h[range(k.width, first), range(k.width, first)] += pulls
+        x = solve(h[np.ix_(rest, rest)], np.column_stack([h[np.ix_(rest, own)], g[rest]]))
+        left = h[np.ix_(own, own)] - h[np.ix_(own, rest)] @ x[:, :-1]
+        nats, pull = _evidence(left, g[own] - h[np.ix_(own, rest)] @ x[:, -1])
+        if nats > enough:
+            accepted = (*accepted, one)
+            pulls = np.append(pulls, np.full(len(own), pull))
+    return accepted
+
+
+def _evidence(h: np.ndarray, g: np.ndarray) -> tuple[float, float]:
+    """Nats that coefficients of one size gain, at that at which they gain most; and its inverse square."""
+    eigenvalues, vectors = np.linalg.eigh(h)
+    eigenvalues, along = np.maximum(eigenvalues, 0.0), (vectors.T @ g) ** 2
+    sizes = np.geomspace(1e-4, 1e4, 81) / np.sqrt(max(eigenvalues.mean(), 1e-300))
+    by = sizes[:, None] ** 2
+    gained = 0.5 * (along * by / (1 + by * eigenvalues) - np.log1p(by * eigenvalues)).sum(axis=1)
+    best = int(np.argmax(gained))
+    return float(gained[best]), float(sizes[best] ** -2)

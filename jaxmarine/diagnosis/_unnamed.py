@@ -18,7 +18,7 @@ from ._model import Model, Workbench
 from ._result import Dropped
 from ._settle import pruned
 from ._signals import Signals
-from ._unknown import Dependence, cost_of_removal, dependences, explained, size_only
+from ._unknown import Dependence, cost_of_removal, dependences, explained, likely, size_only
 
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where unknown dependences alone leave less than the second share of what they leave, or
@@ -63,11 +63,11 @@ def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress)
         vehicle = extended_by(bench, now.model, dense)
         unknown = _dependences(bench, now, vehicle)
         if not (unknown or now.model.members or dense):
-            unknown = size_only(now.knots, now.phi, _undisturbed(bench, vehicle), bench.freedom)
+            unknown = size_only(now.left, now.phi, _undisturbed(bench, vehicle), bench.freedom)
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
             return Answer(now, unknown, dense, dropped)
-        whole, now = now.model, judged(bench, bench.refine(bench.without_member(now.model, spurious)))
+        whole, now = now.model, judged(bench, bench.likeliest(bench.without_member(now.model, spurious)))
         # What was found beside a stand-in may have mended what that spoilt.
         model = pruned(bench, now.model)
         dropped += gone(bench, whole, now.model, STOOD_IN) + needless(bench, now.model, model)
@@ -83,7 +83,10 @@ def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Depen
     _, precision, _ = bench.known(dataclasses.replace(now.model, frozen=held))
     missing = dataclasses.replace(now.knots, precision=precision)
     bent = missing.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
-    return dependences(bent, now.phi, _undisturbed(bench, vehicle), bench.freedom)
+    found = dependences(bent, now.plain_phi, _undisturbed(bench, vehicle), bench.freedom)
+    if now.model.beside is None:
+        return found
+    return likely(dataclasses.replace(now.left, precision=precision), found)
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
@@ -113,10 +116,12 @@ class Unnamed:
 
     Where they do not, nothing that was named or recalibrated is the cause: it took the shape of what is
     unknown. All is computed when it is first asked for.
+
+    - `feedback`: whether it is judged beside a disturbance (`Opened.feedback`).
     """
 
-    def __init__(self, bench: Workbench):
-        self.bench = bench
+    def __init__(self, bench: Workbench, feedback: bool = False):
+        self.bench, self.feedback = bench, feedback
 
     @functools.cached_property
     def start(self) -> Model:
@@ -124,7 +129,10 @@ class Unnamed:
 
     @functools.cached_property
     def judged(self) -> Judged:
-        return judged(self.bench, self.start)
+        start = self.start
+        return judged(
+            self.bench, self.bench.likeliest(self.bench.disturbed(start)) if self.feedback else start
+        )
 
     @functools.cached_property
     def dependences(self) -> tuple[Dependence, ...]:
@@ -144,7 +152,8 @@ class Unnamed:
 
     def beats(self, model: Model) -> bool:
         """Whether several members leave clearly more than unknown dependences alone would."""
-        rest, count = 2 * model.cost - self.bench.freedom, len(model.members)
+        rest = 2 * self.bench.undisturbed(model).cost - self.bench.freedom
+        count = len(model.members)
         share = ALONE if count == 2 else CROWD
         return count > 1 and rest > PLENTY * self.bench.freedom and self.leaves_less(rest, share)
 
@@ -161,7 +170,7 @@ def left_over(bench: Workbench, answer: Answer) -> float:
     """Chi-square beyond the noise that a model leaves together with unknown dependences."""
     missing = answer.judged.knots
     saved = explained(missing, answer.unknown) - explained(missing, ())
-    return max(2 * answer.model.cost - saved - bench.freedom, 0.0)
+    return max(2 * answer.judged.plain.cost - saved - bench.freedom, 0.0)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:

@@ -21,6 +21,15 @@ from ._check import (
 from ._check import (
     sparkline as sparkline,
 )
+from ._feedback import answers as answers
+from ._filter import Disturbance as Disturbance
+from ._filter import Likelihood as Likelihood
+from ._filter import Path as Path
+from ._filter import estimated as estimated
+from ._filter import free_wrench as free_wrench
+from ._filter import lines as lines
+from ._filter import maximise as maximise
+from ._filter import screened as screened
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
@@ -115,3 +124,4 @@ from ._windows import Records as Records
 from ._windows import Room as Room
 from ._windows import Windows as Windows
 from ._windows import cut as cut
+from ._windows import split as split

@@ -101,6 +101,29 @@ class Columns(eqx.Module):
         return jax.lax.cond(self.many, lambda: by @ self.whole, picked)
 
 
+class Rows(eqx.Module):
+    """A window along its path: what the measured channels are off by, weighted, and what that comes from.
+
+    - `jacobian`: derivatives of the residuals by the initial state, z and the free wrench.
+    - `dt` of the holds; `a`, `b`: from a state and from z and the wrench over a hold to the next state.
+    - `h_x`, `h_z`: from these to what is measured.
+    - `start`, `end`: the first state and the one after the last hold; `begin`: derivative of the former by
+      the twelve changes of the initial state; `end_by`: of the latter, as `jacobian`.
+    """
+
+    residual: Float[Array, "steps rows"]
+    jacobian: Float[Array, "steps rows columns"]
+    dt: Float[Array, " steps"]
+    a: Float[Array, "steps 13 13"]
+    b: Float[Array, "steps 13 z"]
+    h_x: Float[Array, "steps rows 13"]
+    h_z: Float[Array, "steps rows z"]
+    begin: Float[Array, "13 12"]
+    start: Float[Array, "13"]
+    end: Float[Array, "13"]
+    end_by: Float[Array, "13 columns"]
+
+
 class Statistics(eqx.Module):
     """Chi-square and normal equations of each window, `x` for its initial state, `z` for the parameters.
 
@@ -120,12 +143,12 @@ class Statistics(eqx.Module):
 
         The information is that of each window, or their sum, as `h_zz` is.
         """
-        own, _ = _groups(len(self.chi2), len(self.h_zz) > 1)
+        own, _ = grouped(len(self.chi2), len(self.h_zz) > 1)
 
         def one(h, now):
             window, group = now
             chi2, gradient, explained = _eliminated(*window)
-            return _added(h, -explained, group), (chi2, gradient)
+            return added(h, -explained, group), (chi2, gradient)
 
         h, (chi2, gradient) = jax.lax.scan(one, self.h_zz, (self.of_windows, own))
         return chi2, gradient, h
@@ -203,13 +226,35 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
     Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
-    group, groups = _groups(len(delta), problem.apart)
+    group, groups = grouped(len(delta), problem.apart)
+    count = affine.acts.shape[-1]
 
-    def each(stats: Statistics):
-        return stats.h_zz, stats.of_windows
+    def each(total, now):
+        stats, group = now
+        return added(total, stats.h_zz, group), stats.of_windows
 
-    h_zz, of_windows = _swept(problem, affine, delta, 0, group, groups, each)
-    return Statistics(*of_windows, h_zz=h_zz)
+    def of_rows(rows, index):
+        return _normal(problem, delta[index], rows), of_filled(group, groups, index)
+
+    begin = jnp.zeros((groups + 1, count, count))
+    h_zz, kept = swept(problem, affine, delta, 0, of_rows, each, begin)
+    return Statistics(*kept, h_zz=h_zz[:-1])
+
+
+def _normal(problem: Problem, delta: Float[Array, "12"], rows: "Rows") -> Statistics:
+    """The statistics of one window."""
+    residual, precision = rows.residual.ravel(), problem.start_precision
+    jacobian = rows.jacobian.reshape(residual.size, -1)
+    h = jacobian.T @ jacobian
+    g = jacobian.T @ residual
+    return Statistics(
+        chi2=residual @ residual + precision @ delta**2,
+        g_x=g[:12] + precision * delta,
+        g_z=g[12:],
+        h_xx=h[:12, :12] + jnp.diag(precision),
+        h_xz=h[:12, 12:],
+        h_zz=h[12:, 12:],
+    )
 
 
 class Screening(eqx.Module):
@@ -244,62 +289,69 @@ def screening(
     """
     given, lower = affine.acts.shape[-1], np.tril_indices(own.shape[1])
 
-    def each(stats: Statistics):
+    def of_rows(rows, index):
+        return _normal(problem, delta[index], rows), of_filled(group, groups, index)
+
+    def each(total, now):
+        stats, group = now
         chi2, gradient, explained = _eliminated(*stats.of_windows)
         information = stats.h_zz - explained
-        return information[:given, :given], (chi2, gradient, (own.T @ information @ own)[lower])
+        kept = chi2, gradient, (own.T @ information @ own)[lower]
+        return added(total, information[:given, :given], group), kept
 
-    h, (chi2, g, h_own) = _swept(problem, affine, delta, knots, group, groups, each)
-    return Screening(chi2, g, h, h_own)
+    begin = jnp.zeros((groups + 1, given, given))
+    h, (chi2, g, h_own) = swept(problem, affine, delta, knots, of_rows, each, begin)
+    return Screening(chi2, g, h[:-1], h_own)
 
 
-def _groups(count: int, apart: bool) -> tuple[Int[Array, " windows"], int]:
+def grouped(count: int, apart: bool) -> tuple[Int[Array, " windows"], int]:
     """The group of each window, and how many there are: one each, or one for all."""
     return (jnp.arange(count), count) if apart else (jnp.zeros(count, int), 1)
 
 
-def _added(h: Float[Array, "groups z z"], more: Float[Array, "z z"], group) -> Float[Array, "groups z z"]:
+def added(h: Float[Array, "groups z z"], more: Float[Array, "z z"], group) -> Float[Array, "groups z z"]:
     """One window to its group. Row by row: a scatter would copy."""
     before = jax.lax.dynamic_index_in_dim(h, group, keepdims=False)
     return jax.lax.dynamic_update_index_in_dim(h, before + more, group, 0)
 
 
-def _swept(
+def of_filled(group: Int[Array, " windows"], groups: int, index) -> Array:
+    """The group of a window; those that only fill the last batch up are in one of their own."""
+    return jnp.where(index < len(group), group[jnp.minimum(index, len(group) - 1)], groups)
+
+
+def swept(
     problem: Problem,
     affine: Affine,
     delta: Float[Array, "windows 12"],
     knots: int,
-    group: Int[Array, " windows"],
-    groups: int,
-    each: Callable[[Statistics], tuple[Array, Any]],
-) -> tuple[Float[Array, "groups z z"], Any]:
-    """All windows one after another: the sums over groups, and what is kept of every window.
+    of_rows: Callable[["Rows", Array], Any],
+    each: Callable[[Any, Any], tuple[Any, Any]],
+    begin: Any,
+) -> tuple[Any, Any]:
+    """All windows one after another: what is carried through them, and what is kept of every one.
 
-    - `each`: of a window's statistics what is added up, and what is kept.
+    - `of_rows`: from a window's rows and its index what is wanted of it, for some windows at once; those that
+      only fill the last batch up have indices beyond the last one.
+    - `each`: from what is carried, beginning with `begin`, and that: what is carried on, and what is kept.
     """
-    roll, one, begun = _each(problem, affine, knots)
-    count, given = len(delta), affine.acts.shape[-1]
+    roll, rows_of, begun = _each(problem, affine, knots)
+    count = len(delta)
     chunk = part_of(count, CHUNK, BATCH)
-    # One group more: for windows that are left out, and for those that fill the last chunk up.
-    group = jnp.concatenate([group, jnp.full(-count % chunk, groups)])
 
-    def of_window(total, now):
-        stats, group = now
-        more, kept = each(stats)
-        return _added(total, more, group), kept
+    def of_batch(carry, now):
+        windows, index = now
+        wanted = jax.vmap(lambda window, index: of_rows(rows_of(window), index))(windows, index)
+        return jax.lax.scan(each, carry, wanted)
 
-    def of_batch(total, now):
-        windows, group = now
-        return jax.lax.scan(of_window, total, (jax.vmap(one)(windows), group))
+    def of_chunk(carry, index):
+        here = jnp.minimum(index, count - 1)
+        rolled = roll(*jax.tree.map(lambda a: a[here], (problem.windows, delta, begun)))
+        return jax.lax.scan(of_batch, carry, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, index)))
 
-    def of_chunk(total, now):
-        index, group = now
-        rolled = roll(*jax.tree.map(lambda a: a[index], (problem.windows, delta, begun)))
-        return jax.lax.scan(of_batch, total, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, group)))
-
-    chunks = in_parts(jnp.arange(count), chunk), in_parts(group, chunk)
-    total, kept = jax.lax.scan(of_chunk, jnp.zeros((groups + 1, given, given)), chunks)
-    return total[:-1], jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
+    chunks = jnp.arange(-(-count // chunk) * chunk).reshape(-1, chunk)
+    carried, kept = jax.lax.scan(of_chunk, begin, chunks)
+    return carried, jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
 
 
 @eqx.filter_jit
@@ -350,7 +402,7 @@ def _each(problem: Problem, affine: Affine, knots: int):
     """What is asked of each window in turn.
 
     A function that rolls some windows out, which takes windows, `delta` and what the thrusters' lag is like
-    where they begin; one that gives the statistics of one window from that; and that for all windows.
+    where they begin; one that gives the rows of one window from that; and that for all windows.
     """
     theta, acts = affine.theta, affine.acts
     given = acts.shape[-1]
@@ -432,7 +484,8 @@ def _each(problem: Problem, affine: Affine, knots: int):
         by_delay = -slopes[:, rows, None] * chain_slopes.delay[segment][:, KIND[rows]]
         return shown, jacobian.at[:, :, 12 : 12 + given].add(by_delay)
 
-    def one(now):
+    def rows_of(now):
+        """A window's rows, with derivatives by its initial state, z and the free wrench."""
         windows, delta, begun, track, states, after, d_slow = now
 
         def start(delta):
@@ -477,21 +530,22 @@ def _each(problem: Problem, affine: Affine, knots: int):
             return (a @ s).at[:, 12:].add(b), s
 
         s_0 = jnp.concatenate([jax.jacfwd(start)(delta), jnp.zeros((13, count))], axis=1)
-        _, s = jax.lax.scan(recur, s_0, (a, b))
+        s_end, s = jax.lax.scan(recur, s_0, (a, b))
         weight = windows.weight[:, rows]
         jacobian = (h_x @ s).at[:, :, 12:].add(h_z)
         value, jacobian = earlier(track.instant.t, track.segment, value, jacobian)
-        jacobian = (jacobian * weight[..., None]).reshape(-1, 12 + count)
-        residual = (wrapped(value - windows.measured)[:, rows] * weight).reshape(-1)
-        h = jacobian.T @ jacobian
-        g = jacobian.T @ residual
-        return Statistics(
-            chi2=residual @ residual + problem.start_precision @ delta**2,
-            g_x=g[:12] + problem.start_precision * delta,
-            g_z=g[12:],
-            h_xx=h[:12, :12] + jnp.diag(problem.start_precision),
-            h_xz=h[:12, 12:],
-            h_zz=h[12:, 12:],
+        return Rows(
+            residual=wrapped(value - windows.measured)[:, rows] * weight,
+            jacobian=jacobian * weight[..., None],
+            dt=track.dt,
+            a=a,
+            b=b,
+            h_x=h_x * weight[..., None],
+            h_z=h_z * weight[..., None],
+            begin=s_0[:, :12],
+            start=x[0],
+            end=x_after[-1],
+            end_by=s_end,
         )
 
     def roll(windows, delta, begun):
@@ -508,4 +562,4 @@ def _each(problem: Problem, affine: Affine, knots: int):
         d_slow = d_lagged[windows.log[:, None], windows.step]
         return windows, delta, begun, tracks, states, after, d_slow
 
-    return roll, one, driven.begun
+    return roll, rows_of, driven.begun

@@ -195,7 +195,8 @@ def tracks_of(problem: Problem, windows: Windows, push: Thrust, slides: Slide | 
     records, log, step = problem.records, windows.log[:, None], windows.step
     t, dt = records.t[log, step], records.dt[log, step]
     commands = records.commands[log, step, : push.mean.shape[-1]]
-    common = (commands, records.wrench[log, step], t)
+    wrench = records.wrench[log, step]
+    common = (commands, wrench if windows.wrench is None else wrench + windows.wrench[:, None], t)
     slide = jax.tree.map(lambda a: a[log, step], slides)
     return Track(
         over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),

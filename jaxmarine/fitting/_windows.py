@@ -36,6 +36,7 @@ class Windows(eqx.Module):
     - `log`, `step`: where each step of a window lies in `Records`.
     - `measured`, `weight` (1 / standard deviation of the noise, 0 where nothing was measured).
     - `position`, `attitude`, `velocity`: guess of the state at the window's first step.
+    - `wrench`: what is expected to act on the hull throughout, beside all that the logs know.
     """
 
     log: Int[Array, " windows"]
@@ -45,6 +46,7 @@ class Windows(eqx.Module):
     position: Float[Array, "windows 3"]
     attitude: Float[Array, "windows 4"]
     velocity: Float[Array, "windows 6"]
+    wrench: Float[Array, "windows 6"] | None = None
 
     @property
     def count(self) -> int:
@@ -60,6 +62,7 @@ class Cut:
     windows: Windows
     starts: np.ndarray  # time at which each window starts [s, its log's own time]
     length: float  # of a window [s]
+    dof: tuple[str, ...]  # axes that are free
     hold: float  # the longest time from a sample of a window to the next [s]
 
 
@@ -213,6 +216,32 @@ def cut(
         ),
         starts=np.array(starts),
         length=length,
+        dof=vehicle.dof,
         # Stamps of an even log are rounded.
         hold=max(holds) if max(holds) > 1.01 * dt else dt,
+    )
+
+
+def split(data: Cut, parts: int) -> Windows:
+    """Each window cut into so many of equal length, in the order of time."""
+    windows = data.windows
+    count, steps = windows.step.shape
+    tracks = [smooth_states(log, data.dof) for log in data.logs]
+    log = np.repeat(np.asarray(windows.log), parts)
+    step = np.asarray(windows.step).reshape(count * parts, steps // parts)
+
+    def at_start(values: list[np.ndarray]) -> np.ndarray:
+        return np.array([values[g][first] for g, first in zip(log, step[:, 0], strict=True)])
+
+    def cut_up(values: Array) -> Array:
+        return jnp.asarray(np.asarray(values).reshape(count * parts, steps // parts, -1))
+
+    return Windows(
+        log=jnp.asarray(log),
+        step=jnp.asarray(step),
+        measured=cut_up(windows.measured),
+        weight=cut_up(windows.weight),
+        position=jnp.asarray(at_start([track.position for track in tracks])),
+        attitude=jax.vmap(from_euler)(jnp.asarray(at_start([track.attitude for track in tracks]))),
+        velocity=jnp.asarray(at_start([track.nu for track in tracks])),
     )

@@ -1,0 +1,92 @@
+"""The windows of a diagnosis cut up for the filter, and the disturbance that it begins with."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..fitting import Cut, Disturbance, Path, Problem, Room, split
+from ..vehicle import Vehicle
+from ._plausible import full_thrust
+
+# Along a path that begins anew every second [s] what a disturbance does to a craft meanwhile is small beside
+# its own motion. Measured on a craft that holds its station: after 4 s drag that grows with the square of the
+# speed was wrong by many times the noise, after 1 s by less than the noise.
+STRAIGHT = 1.0
+# Samples that a path is followed for at least.
+FEWEST = 4
+# What a disturbance is taken for first: a share of the full thrust, and its memory [s].
+SIZE, TIME = 0.02, 4.0
+# From one log to the next: many times any memory [s].
+_LONG = 1e6
+# Acceleration [m/s², rad/s²] that stands for the full thrust of a craft that has none.
+PUSH = 0.3
+
+
+def parts_of(steps: int, dt: float) -> int:
+    """Into how many parts a window of so many samples, `dt` [s] apart, is cut."""
+    fits = [n for n in range(1, steps // FEWEST + 1) if steps % n == 0]
+    return min(fits, key=lambda n: abs(np.log(steps * dt / n / STRAIGHT)), default=1)
+
+
+def strength(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
+    """The full thrust [N, N m] of each axis, or of the strongest of its kind where an axis has none."""
+    own = full_thrust(vehicle)
+    most = np.repeat([own[:3].max(), own[3:].max()], 3)
+    inertia = PUSH * np.diag(np.asarray(vehicle.mass_matrix))
+    return np.where(own > 0, own, np.where(most > 0, most, inertia))
+
+
+@dataclasses.dataclass(frozen=True)
+class Fine:
+    """Windows cut up, and what joins them.
+
+    - `problem`: has them in the place of the whole ones; `parts`: of each of those; `group`: of each, that of
+      its whole window.
+    - `begin`: the disturbance that is assumed first; `unit`: the full thrust of its axes.
+    """
+
+    problem: Problem
+    parts: int
+    group: Int[np.ndarray, " windows"]
+    count: int
+    begin: Disturbance
+    unit: Float[np.ndarray, " axes"]
+
+    @classmethod
+    def of(
+        cls, problem: Problem, vehicle: Vehicle, data: Cut, room: Room, group: np.ndarray, others: int
+    ) -> "Fine":
+        """Of the whole windows' problem; `group`: of each whole window, `others` what is in none."""
+        dt = float(np.median([log.dt for log in data.logs]))
+        parts = parts_of(data.windows.step.shape[1], dt)
+        windows = split(data, parts)
+        log, step = np.asarray(windows.log), np.asarray(windows.step)
+        count, most = windows.count, room.windows * parts
+        gap, joined = np.full(most, _LONG), np.zeros(most, bool)
+        for w in range(1, count):
+            if log[w] == log[w - 1]:
+                t = data.logs[log[w]].t
+                gap[w] = t[step[w, 0]] - t[step[w - 1, -1] + 1]
+                joined[w] = w % parts > 0
+        records, windows = dataclasses.replace(room, windows=most).filled(data.records, windows)
+        axes = np.flatnonzero(vehicle.free)
+        unit = strength(vehicle)[axes]
+        groups = np.full(most, others)
+        groups[:count] = np.repeat(group[: data.windows.count], parts)
+        begin = Disturbance(
+            size=jnp.asarray(SIZE * unit),
+            time=jnp.full(len(axes), TIME),
+            gap=jnp.asarray(gap),
+            joined=jnp.asarray(joined),
+            axes=tuple(axes.tolist()),
+        )
+        whole = dataclasses.replace(problem, records=records, windows=windows)
+        return cls(whole, parts, groups, count, begin, unit)
+
+    @property
+    def path(self) -> Path:
+        """As measured, without a wrench."""
+        count = len(self.group)
+        return Path(jnp.zeros((count, 12)), jnp.zeros((count, len(self.begin.axes))))

@@ -1,0 +1,74 @@
+"""Whether a log was recorded under feedback: its commands answer what was measured.
+
+An autopilot acts on its sensors, their noise included, so that what they showed helps to predict its next
+command better than its past commands do. Hands on sticks do not see the noise, nor does a prepared
+manoeuvre. Source: Granger (1969), with prediction errors on parts of the log that were left out.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from ..logs import Log
+
+# Samples of the past that a command is predicted from, and parts that are left out in turn.
+PAST, PARTS = 3, 24
+# Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
+PULL = 1e-6
+# Probability that one of the commands of a log without feedback looks as if it answered.
+CHANCE = 1e-3
+
+
+def answers(log: Log) -> bool:
+    """Whether some command of a log is predicted better by what was measured up to its sample.
+
+    Better for certain: by the squared errors in parts of the log that were left out, after Wilcoxon (1945).
+    """
+    if log.commands is None or len(log.t) < 4 * PARTS * PAST:
+        return False
+    given = np.asarray(log.commands, float)
+    new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
+    changes = new.std(axis=0) > 0
+    if not changes.any():
+        return False
+    seen = log.channels[:, :12].copy()
+    seen = seen[:, np.isfinite(seen).mean(axis=0) > 0.5]
+    angles = [i for i in range(seen.shape[1]) if np.nanmax(np.abs(seen[:, i])) <= np.pi]
+    for i in angles:
+        # A heading that jumps by a turn has not changed.
+        here = np.isfinite(seen[:, i])
+        seen[here, i] = np.unwrap(seen[here, i])
+    # What was not measured at a sample is held from the one before, as a controller does.
+    seen = _held(seen)
+    past = np.concatenate([np.roll(given, k, axis=0) for k in range(1, PAST + 1)], axis=1)[PAST:]
+    shown = np.concatenate([np.roll(seen, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
+    alone = _errors(past, new[:, changes])
+    better = np.log(alone / _errors(np.concatenate([past, shown], axis=1), new[:, changes]))
+    # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.
+    tested: Any = stats.wilcoxon(better, alternative="greater", axis=0)
+    return bool(np.min(tested.pvalue) * changes.sum() < CHANCE)
+
+
+def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "samples channels"]:
+    """The last finite value of each channel, zero before the first."""
+    last = np.where(np.isfinite(seen), np.arange(len(seen))[:, None], 0)
+    last = np.maximum.accumulate(last, axis=0)
+    return np.nan_to_num(seen[last, np.arange(seen.shape[1])])
+
+
+def _errors(
+    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, "samples targets"]
+) -> Float[np.ndarray, "parts targets"]:
+    """Squared error of a linear regression in each part of a log, fitted to the others."""
+    x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
+    x = np.concatenate([x, np.ones((len(x), 1))], axis=1)
+    part = np.arange(len(x)) * PARTS // len(x)
+    out = np.empty((PARTS, y.shape[1]))
+    for k in range(PARTS):
+        here, rest = part == k, part != k
+        h = x[rest].T @ x[rest] + PULL * len(x) * np.eye(x.shape[1])
+        out[k] = ((y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])) ** 2).sum(axis=0)
+    # A command that does not change in a part is predicted as well by both.
+    return out + 1e-9 * (y**2).sum(axis=0)

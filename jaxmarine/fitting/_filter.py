@@ -1,0 +1,626 @@
+"""The likelihood of windows beside a disturbance that is part of the model: a Kalman filter along their path.
+
+Wind, waves and water push a craft, and what pushes it now still pushes it a second later. On each free axis
+a Gauss-Markov wrench acts:
+
+    d' = -d / time + w,    standard deviation `size`
+
+A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
+state and this wrench as its own. What it does to the residuals it does to their derivatives too, so that
+their sums are those of white noise: minus twice the logarithm of the likelihood is the chi-square of the
+innovations and the logarithm of their determinants. Each window begins with any state, but with the wrench
+that the one before has left: conditioned on it all windows are filtered side by side, and joined afterwards.
+
+The path is a causal prediction: each window begins as the one before lets one expect. A path that follows the
+samples themselves goes with their noise and with the disturbance, and biases what is fitted along it.
+
+Source: after Ljung, System Identification, on prediction errors, and Anderson and Moore, Optimal Filtering.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int, PyTree
+from scipy.optimize import minimize
+
+from .._compiled import compiled
+from ._linearise import Affine, Rows, added, of_filled, swept
+from ._parts import in_parts, joined
+from ._rollout import LOOSE, TIGHT, Problem
+from ._trust import Trust, pick
+
+# Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
+# off, and so little that rounding leaves the filter what the sensors tell.
+ANY = 10.0
+# Memories that are usual of wind, waves and water [s]: the median, and the standard deviation of the
+# logarithm. A log that tells more has its own way within a few standard deviations.
+USUAL, SPREAD = 4.0, 1.0
+# Memories that are looked at [s]: from less than a sample, which is as good as none, to some tens of windows.
+BRIEFEST, LONGEST = 0.1, 200.0
+# Sizes that are looked at, as shares of the full thrust: below the least nothing is seen of it, above the
+# most no craft could be steered.
+LEAST, MOST = 1e-6, 2.0
+# Steps of the search for sizes and memories, and the share of the likelihood's logarithm, of some ten
+# thousand samples, that is not worth one.
+STEPS, ENOUGH = 40, 1e-6
+# Decrease of minus twice the logarithm of the likelihood that is not worth a step.
+ATOL = 1e-2
+# Windows that are filtered side by side where only their likelihood is asked for.
+TOGETHER = 20
+
+
+class Disturbance(eqx.Module):
+    """A Gauss-Markov wrench on the hull.
+
+    - `size`: standard deviation [N, N m]; `time`: in which it forgets all but 1/e [s].
+    - `gap`: from the end of the last hold of the window before to the first sample of each window [s], many
+      memories where a log begins; `joined`: whether a window goes on in the state of the one before.
+    - `axes`: those on which it acts.
+    """
+
+    size: Float[Array, " axes"]
+    time: Float[Array, " axes"]
+    gap: Float[Array, " windows"]
+    joined: Bool[Array, " windows"]
+    axes: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def carry(self) -> Float[Array, "windows axes"]:
+        """Share that the wrench has, where a window begins, of what it was where the last one ended."""
+        return jnp.exp(-self.gap[:, None] / self.time[None])
+
+
+class Path(eqx.Module):
+    """About what the windows are linearised.
+
+    - `delta`: changes of their initial states (`State.moved`); `wrench`: that expected in their middle.
+    """
+
+    delta: Float[Array, "windows 12"]
+    wrench: Float[Array, "windows axes"]
+
+
+class Line(eqx.Module):
+    """A window as a linear system: states and wrench from sample to sample, and what is measured of them.
+
+    - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
+    - `begin`: derivative of the first state by the twelve changes of the initial state.
+    """
+
+    f: Float[Array, "steps 13 13+axes"]
+    h: Float[Array, "steps rows 13+axes"]
+    residual: Float[Array, "steps rows columns"]
+    dt: Float[Array, " steps"]
+    begin: Float[Array, "13 12"]
+
+
+class Passed(eqx.Module):
+    """A window filtered, given the state and the wrench with which it begins.
+
+    Columns: what is asked for, twelve changes of the first state, the first wrench, and 1.
+
+    - `information`: of the whitened residuals by the columns; `log_det` of their covariance.
+    - `last`: by the columns, how far state and wrench after its last hold are below those of the path without
+      a wrench; `covariance` of these.
+    """
+
+    information: Float[Array, "columns columns"]
+    log_det: Float[Array, ""]
+    last: Float[Array, "13+axes columns"]
+    covariance: Float[Array, "13+axes 13+axes"]
+
+
+class Message(eqx.Module):
+    """What is known of state and wrench where a window ends: by the columns that stay, and how well."""
+
+    mean: Float[Array, "13+axes columns"]
+    covariance: Float[Array, "13+axes 13+axes"]
+
+
+def _throughout(by_knots: Float[Array, "*rows knots*6"], force: Disturbance) -> Float[Array, "*rows axes"]:
+    """Derivatives by a wrench that acts throughout, from those by its knots on six axes."""
+    return by_knots.reshape(*by_knots.shape[:-1], -1, 6).sum(-2)[..., np.array(force.axes)]
+
+
+def line_of(rows: Rows, z: int, wrench: Float[Array, " axes"], force: Disturbance) -> Line:
+    """A window's rows as a linear system about its path, but without the wrench that is expected there.
+
+    - `z`: how many parameters the rows have; behind them is a free wrench.
+    """
+    residual = rows.residual - _throughout(rows.jacobian[..., 12 + z :], force) @ wrench
+    return Line(
+        f=jnp.concatenate([rows.a, _throughout(rows.b[..., z:], force)], axis=-1),
+        h=jnp.concatenate([rows.h_x, _throughout(rows.h_z[..., z:], force)], axis=-1),
+        residual=jnp.concatenate([rows.jacobian[..., 12 : 12 + z], residual[..., None]], axis=-1),
+        dt=rows.dt,
+        begin=rows.begin,
+    )
+
+
+def filtered(line: Line, force: Disturbance) -> Passed:
+    """A window filtered, given the state and the wrench with which it begins."""
+    axes, given = len(force.axes), line.residual.shape[-1] - 1
+    first = 12 + axes
+    mean = jnp.zeros((13 + axes, given + first + 1))
+    mean = mean.at[:13, given : given + 12].set(line.begin)
+    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(axes))
+    nothing = jnp.zeros((line.h.shape[1], first))
+
+    @jax.checkpoint
+    def step(carry, now):
+        mean, covariance, log_det = carry
+        f, h, residual, dt = now
+        residual = jnp.concatenate([residual[:, :given], nothing, residual[:, given:]], axis=1)
+
+        def sensor(carry, now):
+            mean, covariance, log_det = carry
+            row, seen = now
+            spread = covariance @ row
+            variance = row @ spread + 1.0
+            error = seen - row @ mean
+            mean = mean + jnp.outer(spread / variance, error)
+            covariance = covariance - jnp.outer(spread, spread / variance)
+            return (mean, covariance, log_det + jnp.log(variance)), error / jnp.sqrt(variance)
+
+        # One sensor after another, whose noises are independent: no factorisation for a few numbers.
+        (mean, covariance, log_det), white = jax.lax.scan(sensor, (mean, covariance, log_det), (h, residual))
+        keep = jnp.exp(-dt / force.time)
+        mean = jnp.concatenate([f @ mean, keep[:, None] * mean[13:]])
+        half = jnp.concatenate([f @ covariance, keep[:, None] * covariance[13:]])
+        covariance = jnp.concatenate([half @ f.T, half[:, 13:] * keep[None]], axis=1)
+        new = force.size**2 * (1.0 - keep**2)
+        covariance = covariance.at[13:, 13:].add(jnp.diag(new))
+        return (mean, 0.5 * (covariance + covariance.T), log_det), white
+
+    begin = mean, jnp.zeros((13 + axes, 13 + axes)), jnp.zeros(())
+    (mean, covariance, log_det), white = jax.lax.scan(step, begin, (line.f, line.h, line.residual, line.dt))
+    white = white.reshape(-1, mean.shape[1])
+    return Passed(white.T @ white, log_det, mean, covariance)
+
+
+class Opening(eqx.Module):
+    """How a window begins.
+
+    - `begin`: derivative of its first state by twelve changes; `ahead`: by how much this state is above that
+      with which the path of the window before ended, without a wrench, by the columns that stay; `guess`: by
+      how much it is above the guess.
+    - `carry`: share that the wrench has of the one before; `joined`: whether the state goes on.
+    """
+
+    begin: Float[Array, "13 12"]
+    ahead: Float[Array, "13 columns"]
+    guess: Float[Array, "12"]
+    carry: Float[Array, " axes"]
+    joined: Bool[Array, ""]
+
+
+def opened(
+    message: Message, force: Disturbance, opening: Opening, spread: Float[Array, "12"]
+) -> tuple[Float[Array, "12+axes columns"], Float[Array, "12+axes 12+axes"]]:
+    """Mean and covariance of the twelve changes of a window's first state, and of its first wrench."""
+    turn = jnp.linalg.pinv(opening.begin)
+    carried = jnp.zeros((12 + len(force.axes), 13 + len(force.axes)))
+    carried = carried.at[:12, :13].set(jnp.where(opening.joined, turn, 0.0))
+    carried = carried.at[12:, 13:].set(jnp.diag(opening.carry))
+    free = jnp.zeros((12, opening.ahead.shape[1])).at[:, -1].set(opening.guess)
+    ahead = jnp.where(opening.joined, turn @ opening.ahead, free)
+    new = jnp.where(opening.joined, 0.0, spread**2), force.size**2 * (1.0 - opening.carry**2)
+    mean = (carried @ message.mean).at[:12].add(ahead)
+    return mean, carried @ message.covariance @ carried.T + jnp.diag(jnp.concatenate(new))
+
+
+def handed_on(
+    passed: Passed, mean: Float[Array, "12+axes columns"], covariance: Float[Array, "12+axes 12+axes"]
+) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
+    """One window joined to those before it: its information, its determinant and what it tells the next."""
+    first = len(covariance)
+    given = passed.information.shape[0] - first - 1
+    e = np.arange(given, given + first)
+    rest = np.delete(np.arange(given + first + 1), e)
+    # As if it began with the mean, which goes with the columns that stay: mean (z, 1), and something new.
+    onto = jnp.zeros((given + first + 1, given + 1)).at[rest].set(jnp.eye(given + 1)).at[e].set(mean)
+    slope = passed.information[e] @ onto
+    # Regular where a wrench has no size.
+    whole = jnp.eye(first) + passed.information[np.ix_(e, e)] @ covariance
+    gain = covariance @ jnp.linalg.inv(whole)
+    gain = 0.5 * (gain + gain.T)
+    by_e = passed.last[:, e]
+    after = Message(
+        mean=passed.last @ onto - by_e @ (gain @ slope),
+        covariance=passed.covariance + by_e @ gain @ by_e.T,
+    )
+    information = onto.T @ passed.information @ onto - slope.T @ gain @ slope
+    return information, passed.log_det + jnp.linalg.slogdet(whole)[1], after
+
+
+def _nothing_known(force: Disturbance, columns: int) -> Message:
+    state = 13 + len(force.axes)
+    return Message(jnp.zeros((state, columns)), jnp.zeros((state, state)))
+
+
+class Innovations(eqx.Module):
+    """What the windows say of z, each given all before it, and the path that they let one expect.
+
+    - `minus_twice`: minus twice the logarithm of the likelihood, but for a constant; `g` its slope by half.
+    - `h`: information of z in each group of windows.
+    """
+
+    minus_twice: Float[Array, " windows"]
+    g: Float[Array, "windows z"]
+    h: Float[Array, "groups z z"]
+    path: Path
+
+
+def pushed(problem: Problem, force: Disturbance, path: Path) -> Problem:
+    """The problem with the wrench that is expected along the path."""
+    wrench = jnp.zeros((len(path.wrench), 6)).at[:, np.array(force.axes)].set(path.wrench)
+    return eqx.tree_at(lambda p: p.windows.wrench, problem, wrench, is_leaf=lambda x: x is None)
+
+
+def _spread(problem: Problem) -> Float[Array, "12"]:
+    """Standard deviation of a window's first state."""
+    return jnp.where(problem.start_precision > LOOSE**-2.0, TIGHT, ANY)
+
+
+class Windowed(eqx.Module):
+    """A window as a linear system, and what it takes to join it to the one before.
+
+    - `start`, `end` of its path without a wrench, the latter's derivatives by what is asked for first.
+    """
+
+    line: Line
+    start: Float[Array, "13"]
+    end: Float[Array, "13 columns"]
+    delta: Float[Array, "12"]
+    wrench: Float[Array, " axes"]
+    carry: Float[Array, " axes"]
+    joined: Bool[Array, ""]
+
+    @classmethod
+    def of(cls, rows: Rows, z: int, path: Path, force: Disturbance, index) -> "Windowed":
+        """`z`: how many parameters the rows have."""
+        wrench = path.wrench[index]
+        return cls(
+            line=line_of(rows, z, wrench, force),
+            start=rows.start,
+            end=jnp.concatenate(
+                [
+                    rows.end_by[:, 12 : 12 + z],
+                    (rows.end - _throughout(rows.end_by[:, 12 + z :], force) @ wrench)[:, None],
+                ],
+                axis=1,
+            ),
+            delta=path.delta[index],
+            wrench=wrench,
+            carry=force.carry[index],
+            joined=force.joined[index],
+        )
+
+    def opening(self, end: Float[Array, "13 columns"]) -> Opening:
+        """Against the state with which the window before ended."""
+        # Quaternions of both signs are one attitude.
+        end = end.at[3:7].multiply(jnp.where(end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0))
+        ahead = (-end).at[:, -1].add(self.start)
+        return Opening(self.line.begin, ahead, self.delta, self.carry, self.joined)
+
+
+def innovations(
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    group: Int[Array, " windows"],
+    groups: int,
+) -> Innovations:
+    """What all windows say of z at z = 0.
+
+    - `group`: of each window; windows of the group with the number `groups` are left out.
+    """
+    given, spread = affine.acts.shape[-1], _spread(problem)
+    dt = problem.records.dt[problem.windows.log[:, None], problem.windows.step]
+    half = jnp.exp(-0.5 * dt.sum(axis=1)[:, None] / force.time[None])
+    follows = force.gap < 0.5 * dt[:, 0]
+
+    def of_rows(rows, index):
+        window = Windowed.of(rows, given, path, force, index)
+        return (
+            window,
+            filtered(window.line, force),
+            of_filled(group, groups, index),
+            half[index],
+            follows[index],
+        )
+
+    def each(carry, now):
+        total, message, before = carry
+        window, passed, group, half, follows = now
+        opening = window.opening(before)
+        expected = -half * window.carry * message.mean[13:, -1]
+        # As the one before lets one expect it, if this window follows it at once.
+        ahead = jnp.linalg.pinv(window.line.begin) @ (opening.ahead[:, -1] + message.mean[:13, -1])
+        following = Path(jnp.where(follows, window.delta - ahead, window.delta), expected)
+        information, log_det, message = handed_on(passed, *opened(message, force, opening, spread))
+        kept = information[-1, -1] + log_det, information[:-1, -1], following
+        return (added(total, information[:-1, :-1], group), message, window.end), kept
+
+    begin = (
+        jnp.zeros((groups + 1, given, given)),
+        _nothing_known(force, given + 1),
+        jnp.zeros((13, given + 1)),
+    )
+    every = pushed(problem, force, path), affine, path.delta, 1
+    (h, _, _), (minus_twice, g, path) = swept(*every, of_rows, each, begin)
+    return Innovations(minus_twice, g, h[:-1], path)
+
+
+@compiled
+def lines(
+    problem: Problem, theta: Float[Array, "segments parameters"], force: Disturbance, path: Path
+) -> Windowed:
+    """All windows as linear systems, of which nothing but the residuals is asked for."""
+    nothing = Affine(theta, jnp.zeros((theta.shape[1], 1)), jnp.ones((len(theta), 1)))
+
+    def of_rows(rows, index):
+        window = Windowed.of(rows, 1, path, force, index)
+        return eqx.tree_at(
+            lambda w: (w.line.residual, w.end), window, (window.line.residual[..., 1:], window.end[:, 1:])
+        )
+
+    def each(carry, now):
+        return carry, now
+
+    return swept(pushed(problem, force, path), nothing, path.delta, 1, of_rows, each, None)[1]
+
+
+@compiled
+def _improbability(
+    logarithms: Float[Array, "2 axes"], unit: Array, every: Windowed, spread: Array, force: Disturbance
+):
+    """-2 log p(samples, sizes, memories) but for a constant, and its slope.
+
+    - `logarithms`: of how much is new per root of a second [full thrust], which logs tell best, and of the
+      memory [s].
+    """
+
+    def of(logarithms):
+        new, time = jnp.exp(logarithms)
+        now = dataclasses.replace(force, size=new * jnp.sqrt(time) * unit, time=time)
+        count = len(every.start)
+        parts = jax.tree.map(lambda a: in_parts(a, TOGETHER), every.line)
+        passed = jax.lax.map(lambda part: jax.vmap(lambda line: filtered(line, now))(part), parts)
+        passed = jax.tree.map(lambda a: joined(a, count), passed)
+
+        @jax.checkpoint
+        def each(carry, here):
+            message, before = carry
+            window, passed = here
+            begun = opened(message, now, window.opening(before), spread)
+            information, log_det, message = handed_on(passed, *begun)
+            return (message, window.end), information[-1, -1] + log_det
+
+        windows = eqx.tree_at(lambda w: w.carry, every, now.carry)
+        _, minus_twice = jax.lax.scan(each, (_nothing_known(now, 1), jnp.zeros((13, 1))), (windows, passed))
+        return minus_twice.sum() + ((jnp.log(time / USUAL) / SPREAD) ** 2).sum()
+
+    return jax.value_and_grad(of)(logarithms)
+
+
+def estimated(
+    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+) -> Disturbance:
+    """The disturbance whose sizes and memories make the samples most likely, with a weak prior on the latter.
+
+    - `force`: where the search begins; `unit`: the full thrust [N, N m] of each axis, or what stands for it.
+    """
+    axes, spread = len(force.axes), _spread(problem)
+
+    def of(logarithms):
+        now = jnp.asarray(logarithms.reshape(2, -1)), jnp.asarray(unit)
+        value, slope = _improbability(*now, every, spread, force)
+        value, slope = float(value), np.asarray(slope).ravel()
+        # Where the path has run away there is nothing to be found.
+        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (1e300, 0 * slope)
+
+    low, high = np.log([LEAST] * axes + [BRIEFEST] * axes), np.log([MOST] * axes + [LONGEST] * axes)
+    time = np.asarray(force.time)
+    begin = np.log(np.concatenate([np.maximum(np.asarray(force.size) / unit, LEAST) / np.sqrt(time), time]))
+    bounds = list(zip(low, high, strict=True))
+    how = {"maxiter": STEPS, "ftol": ENOUGH}
+    best = minimize(of, np.clip(begin, low, high), jac=True, method="L-BFGS-B", bounds=bounds, options=how)
+    new, time = np.exp(best.x.reshape(2, -1))
+    return dataclasses.replace(force, size=jnp.asarray(new * np.sqrt(time) * unit), time=jnp.asarray(time))
+
+
+class Likelihood(eqx.Module):
+    """What is maximised: the windows' likelihood beside a disturbance, and a normal prior on z around 0."""
+
+    problem: Problem
+    affine: Affine
+    precision: Float[Array, " z"]
+    force: Disturbance
+
+
+def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Float[Array, ""], Innovations]:
+    z, path = y
+    count = task.problem.windows.count
+    found = innovations(task.problem, task.affine.at(z), task.force, path, jnp.zeros(count, int), 1)
+    return 0.5 * (found.minus_twice.sum() + (task.precision * z * z).sum()), found
+
+
+class _State(eqx.Module):
+    y_eval: tuple[Array, Path]
+    found: Innovations
+    trust: Trust
+    terminate: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
+class FilterGaussNewton(optx.AbstractMinimiser[tuple[Array, Path], Innovations, _State]):
+    """Damped Gauss-Newton on the innovations; each step goes on from the path that the last one predicts.
+
+    It ends as `WindowGaussNewton` does; options: `limit` of steps, `least` decrease that is worth one, and
+    the `damping` of the first.
+    """
+
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
+        del fn, args, f_struct, tags
+        return _State(
+            y_eval=y,
+            found=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
+            trust=Trust.start(options["damping"]),
+            terminate=jnp.array(False),
+            steps=jnp.array(0),
+        )
+
+    def step(self, fn, y, args: Likelihood, options, state: _State, tags):
+        del tags
+        cost, found = fn(state.y_eval, args)
+        usable = jnp.isfinite(cost) & jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all()
+        better, trust = state.trust.judged(jnp.where(usable, cost, jnp.inf))
+        y, found = pick(better, state.y_eval, y), pick(better, found, state.found)
+        z, _ = y
+        h, g = found.h.sum(0) + jnp.diag(args.precision), found.g.sum(0) + args.precision * z
+        scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
+        d_z = -jax.scipy.linalg.solve(h + trust.damping * jnp.diag(scale), g, assume_a="pos")
+        predicted = -(g @ d_z + 0.5 * d_z @ h @ d_z)
+        small = 2 * predicted < jnp.maximum(ATOL, options["least"])
+        lost = ~jnp.isfinite(predicted) | (trust.damping > 1e8)
+        return (
+            y,
+            _State((z + d_z, found.path), found, trust.promised(predicted), small | lost, state.steps + 1),
+            found,
+        )
+
+    def terminate(self, fn, y, args, options, state: _State, tags):
+        del fn, y, args, tags
+        spent = state.steps >= options["limit"]
+        result = optx.RESULTS.where(
+            state.terminate | ~spent,
+            optx.RESULTS.successful,
+            optx.RESULTS.nonlinear_max_steps_reached,
+        )
+        return state.terminate | spent, result
+
+    def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
+        del fn, args, options, tags, result
+        return (
+            y,
+            aux,
+            {"cost": state.trust.cost, "predicted": state.trust.predicted, "damping": state.trust.damping},
+        )
+
+
+class Likeliest(eqx.Module):
+    """Where the likelihood is largest: z, the path, half of minus twice its logarithm with the prior.
+
+    - `promised`: the decrease of that which one step more would bring, with the `damping` that it would have.
+    """
+
+    z: Float[Array, " z"]
+    path: Path
+    cost: Float[Array, ""]
+    promised: Float[Array, ""]
+    damping: Float[Array, ""]
+
+
+def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damping: float) -> Likeliest:
+    """The largest likelihood from z and a path, at most so many steps away."""
+    options = {
+        "limit": jnp.asarray(max_steps),
+        "least": jnp.asarray(least, jnp.result_type(float)),
+        "damping": jnp.asarray(damping, jnp.result_type(float)),
+    }
+    return _maximise(task, z, path, options)
+
+
+@compiled
+def _maximise(task: Likelihood, z, path: Path, options) -> Likeliest:
+    solution: Any = optx.minimise(
+        _improbable,
+        FilterGaussNewton(),
+        (z, path),
+        task,
+        options=options,
+        has_aux=True,
+        max_steps=None,
+        throw=False,
+        adjoint=optx.ImplicitAdjoint(),
+    )
+    stats = solution.stats
+    return Likeliest(
+        solution.value[0], solution.aux.path, stats["cost"], stats["predicted"], stats["damping"]
+    )
+
+
+@compiled
+def screened(
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    group: Int[Array, " windows"],
+    groups: int,
+) -> Innovations:
+    """`innovations` by themselves."""
+    return innovations(problem, affine, force, path, group, groups)
+
+
+@compiled
+def free_wrench(
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    knots: int,
+    parts: int,
+    group: Int[Array, " windows"],
+    groups: int,
+) -> Float[Array, "groups columns columns"]:
+    """Information of z, of a free wrench beside the disturbance, and of 1, the residuals' square, in groups.
+
+    - `knots`: of the wrench in each window, columns knot by knot on six axes; `parts`: windows in a row whose
+      knots stand side by side, and are forgotten afterwards but for the disturbance.
+    """
+    given, spread, width = affine.acts.shape[-1], _spread(problem), 6 * knots
+    columns = given + parts * width
+
+    def of_rows(rows, index):
+        window = Windowed.of(rows, given, path, force, index)
+        residual, place = window.line.residual, given + index % parts * width
+        aside = jnp.zeros((*residual.shape[:2], columns + 1))
+        aside = aside.at[..., :given].set(residual[..., :-1]).at[..., -1].set(residual[..., -1])
+        aside = jax.lax.dynamic_update_slice(aside, rows.jacobian[..., 12 + given :], (0, 0, place))
+        end = (
+            jnp.zeros((13, columns + 1))
+            .at[:, :given]
+            .set(window.end[:, :-1])
+            .at[:, -1]
+            .set(window.end[:, -1])
+        )
+        end = jax.lax.dynamic_update_slice(end, rows.end_by[:, 12 + given :], (0, place))
+        window = eqx.tree_at(lambda w: (w.line.residual, w.end), window, (aside, end))
+        return window, filtered(window.line, force), of_filled(group, groups, index)
+
+    def each(carry, now):
+        total, message, before = carry
+        window, passed, group = now
+        forgotten = message.mean.at[:, given:columns].multiply(window.joined)
+        message = eqx.tree_at(lambda m: m.mean, message, forgotten)
+        begun = opened(message, force, window.opening(before), spread)
+        information, _, message = handed_on(passed, *begun)
+        return (added(total, information, group), message, window.end), None
+
+    nothing = _nothing_known(force, columns + 1), jnp.zeros((13, columns + 1))
+    begin = jnp.zeros((groups + 1, columns + 1, columns + 1)), *nothing
+    every = pushed(problem, force, path), affine, path.delta, knots
+    return swept(*every, of_rows, each, begin)[0][0][:-1]

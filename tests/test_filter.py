@@ -1,0 +1,128 @@
+"""The filter against the dense Gaussian that it factorises, and against noise of known colour."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from jaxmarine.fitting import _filter
+from jaxmarine.fitting._filter import Disturbance, Line, Windowed
+
+STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
+SPREAD = np.full(12, 0.7)
+
+
+def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturbance]:
+    """Some random windows: linear systems with states of 13 numbers that change in 12 ways."""
+    count, rng = len(joined), np.random.default_rng(3)
+
+    def normal(*shape, scale=1.0):
+        return jnp.asarray(scale * rng.normal(size=(count, *shape)))
+
+    force = Disturbance(
+        size=jnp.array([0.8, 1.7]),
+        time=jnp.array([0.9, 3.0]),
+        gap=jnp.asarray(gap),
+        joined=jnp.asarray(joined),
+        axes=(0, 5),
+    )
+    line = Line(
+        f=normal(STEPS, 13, 13 + AXES, scale=0.3),
+        h=normal(STEPS, ROWS, 13 + AXES, scale=0.5),
+        residual=normal(STEPS, ROWS, COLUMNS),
+        dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
+        begin=normal(13, 12),
+    )
+    return Windowed(
+        line=line,
+        start=normal(13),
+        end=normal(13, COLUMNS),
+        delta=normal(12),
+        wrench=normal(AXES),
+        carry=force.carry,
+        joined=force.joined,
+    ), force
+
+
+def joined_up(every: Windowed, force: Disturbance):
+    """Information by the columns and the determinants' logarithm of all windows, by the filter."""
+    passed = jax.vmap(lambda line: _filter.filtered(line, force))(every.line)
+    message, before = _filter._nothing_known(force, COLUMNS), jnp.zeros((13, COLUMNS))
+    information, log_det = 0.0, 0.0
+    for w in range(len(every.start)):
+        window, here = jax.tree.map(lambda a, w=w: a[w], (every, passed))
+        begun = _filter.opened(message, force, window.opening(before), jnp.asarray(SPREAD))
+        more, log, message = _filter.handed_on(here, *begun)
+        information, log_det, before = information + more, log_det + log, window.end
+    return np.asarray(information), float(log_det)
+
+
+def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
+    """All residuals with the derivatives of what they should be, and their covariance.
+
+    State and wrench are written out as sums of what is new: a start's changes, and the wrench's pushes.
+    """
+    size, time = np.asarray(force.size), np.asarray(force.time)
+    count, news = len(every.start), len(every.start) * (12 + AXES * (STEPS + 1))
+    at, rows, seen = 0, [], []
+    state, wrench = np.zeros((13, news)), np.zeros((AXES, news))
+    known, before = np.zeros((13, COLUMNS)), np.zeros((13, COLUMNS))
+    for w in range(count):
+        window = jax.tree.map(lambda a, w=w: np.asarray(a[w]), every)
+        turn = np.linalg.pinv(window.line.begin)
+        ahead = -before.copy()
+        ahead[3:7] *= np.where(before[3:7, -1] @ window.start[3:7] < 0, -1.0, 1.0)
+        ahead[:, -1] += window.start
+        if window.joined:
+            changes, sure = turn @ state, turn @ (known + ahead)
+        else:
+            changes, sure = np.zeros((12, news)), np.zeros((12, COLUMNS))
+            changes[:, at : at + 12], sure[:, -1] = np.diag(SPREAD), window.delta
+        state, known, at = window.line.begin @ changes, window.line.begin @ sure, at + 12
+        carry = np.exp(-np.asarray(force.gap)[w] / time)
+        wrench = carry[:, None] * wrench
+        wrench[:, at : at + AXES] += np.diag(size * np.sqrt(1 - carry**2))
+        at += AXES
+        for k in range(STEPS):
+            h, f, keep = window.line.h[k], window.line.f[k], np.exp(-window.line.dt[k] / time)
+            rows.append(h @ np.concatenate([state, wrench]))
+            seen.append(window.line.residual[k] - h[:, :13] @ known)
+            state, known = f @ np.concatenate([state, wrench]), f[:, :13] @ known
+            wrench = keep[:, None] * wrench
+            wrench[:, at : at + AXES] += np.diag(size * np.sqrt(1 - keep**2))
+            at += AXES
+        before = window.end
+    b = np.concatenate(rows)
+    return np.concatenate(seen), b @ b.T + np.eye(len(b))
+
+
+@pytest.mark.parametrize(
+    ("joined", "gap"),
+    [
+        ([False], [1e6]),
+        ([False, True, True], [1e6, 0.0, 0.0]),
+        ([False, True, False, True], [1e6, 0.0, 0.3, 0.0]),
+        ([False, False, True], [1e6, 1e6, 0.0]),
+    ],
+)
+def test_the_filter_is_the_dense_gaussian(joined, gap):
+    """Windows that go on, begin anew, follow after a gap, and belong to another log."""
+    every, force = windows_of(joined, gap)
+    information, log_det = joined_up(every, force)
+    seen, covariance = dense(every, force)
+    np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
+    residual = seen[:, -1]
+    exact = -2 * multivariate_normal(np.zeros(len(seen)), covariance).logpdf(residual)
+    constant = len(seen) * np.log(2 * np.pi)
+    assert information[-1, -1] + log_det + constant == pytest.approx(exact, rel=1e-10)
+
+
+def test_a_disturbance_of_no_size_is_none():
+    """What is left is white noise and a free start."""
+    every, force = windows_of([False, True], [1e6, 0.0])
+    still = Disturbance(jnp.zeros(AXES), force.time, force.gap, force.joined, force.axes)
+    information, _ = joined_up(every, still)
+    seen, covariance = dense(every, still)
+    assert np.linalg.matrix_rank(covariance - np.eye(len(covariance)), tol=1e-9) <= 12
+    np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
