@@ -1,13 +1,22 @@
 """The filter against the dense Gaussian that it factorises, and against noise of known colour."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from jaxmarine._types import SENSORS
+from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.effects import LinearDamping, QuadraticDamping
 from jaxmarine.fitting import _filter
 from jaxmarine.fitting._filter import Disturbance, Line, Windowed
+from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
+from tests.boats import NOISE, boat, steps
 
 STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
 SPREAD = np.full(12, 0.7)
@@ -126,3 +135,91 @@ def test_a_disturbance_of_no_size_is_none():
     seen, covariance = dense(every, still)
     assert np.linalg.matrix_rank(covariance - np.eye(len(covariance)), tol=1e-9) <= 12
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
+
+
+# --- along the path of a craft ---------------------------------------------------------------------
+
+KNOWN = np.array([2.0, 1.5, 0.6])  # N, N, N m
+MEMORY = 5.0  # s
+
+
+def pushed_boat(size: np.ndarray, seconds: float = 240.0) -> Log:
+    """A log of the boat by random wrenches, with a Gauss-Markov one on top that it does not hold."""
+    rng, dt, free = np.random.default_rng(5), 0.1, [0, 1, 5]
+    samples = round(seconds / dt)
+    keep, wrench = np.exp(-dt / MEMORY), np.zeros((samples, 6))
+    new = size * rng.normal(size=(samples, 3))
+    for k in range(samples):
+        before = wrench[k - 1, free] if k else 0.0 * size
+        wrench[k, free] = keep * before + np.sqrt(1 - keep**2) * new[k] if k else new[k]
+    t, given = dt * np.arange(samples), np.zeros((samples, 6))
+    given[:, free] = steps(samples, seed=2, hold=40) * [40.0, 20.0, 8.0]
+    blank = Log(t, np.full((samples, 18), np.nan), None, given + wrench, (), "log.csv")
+    shown = np.asarray(simulate(boat(), blank, initial_state(boat())).channels)
+    noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
+    shown = shown + noise * np.random.default_rng(6).normal(size=shown.shape)
+    return dataclasses.replace(blank, channels=shown, wrench=given)
+
+
+def estimated_on(log: Log) -> tuple[Workbench, Model]:
+    """The boat's workbench, and its model at the sizes and memories that suit the log."""
+    bench = workbench(boat(), (log,), (LinearDamping, QuadraticDamping), None)
+    return bench, bench.likeliest(bench.disturbed(bench.frozen(bench.start())))
+
+
+@pytest.fixture(scope="module")
+def disturbed() -> tuple[Workbench, Model]:
+    return estimated_on(pushed_boat(KNOWN))
+
+
+def test_sizes_and_memories_are_found(disturbed):
+    """Within three standard errors of a variance of 240 s / (2 * 5 s) independent values: 30 % of a size."""
+    _, model = disturbed
+    force = model.beside.force
+    assert np.asarray(force.size) == pytest.approx(KNOWN, rel=0.45)
+    assert np.all(np.abs(np.log(np.asarray(force.time) / MEMORY)) < 1.0)
+
+
+def test_scores_scatter_as_the_likelihood_says(disturbed):
+    """Of a file that is exact: their variance is their information, and no suspect saves more than chance."""
+    bench, model = disturbed
+    stats = bench.screen(model)
+    h, count = stats.h.sum(0), len(stats.chi2)
+    telling = np.diag(h) > 1e-9 * np.diag(h).max()
+    z = stats.g.sum(0)[telling] / np.sqrt(np.diag(h)[telling])
+    assert np.abs(z).max() < 4.0
+    ratios = count * stats.g.var(axis=0)[telling] / np.diag(h)[telling]
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.35)
+
+
+def test_the_slope_is_that_of_the_likelihood(disturbed):
+    """Against central differences of it, along a coefficient of the file, with the path held."""
+    bench, model = disturbed
+    free = dataclasses.replace(model, frozen=False)
+    likely = bench._likelihood(free, model.beside.force)
+    path, h = model.beside.path, 0.2 * bench.base[0].prior
+
+    def of(step: float):
+        z = np.zeros(bench.slots(len(model.z)))
+        z[0] = step
+        group = jnp.asarray(bench.fine.group)
+        affine = likely.affine.at(jnp.asarray(z))
+        found = _filter.screened(likely.problem, affine, likely.force, path, group, bench._most_groups)
+        return float(found.minus_twice.sum()), float(found.g.sum(0)[0]), float(found.h.sum(0)[0, 0])
+
+    (below, *_), (here, slope, curvature), (above, *_) = of(-h), of(0.0), of(h)
+    # The determinant's own slope is left out: in these units it is of order one.
+    assert (above - below) / (4 * h * np.sqrt(curvature)) == pytest.approx(
+        slope / np.sqrt(curvature), abs=0.3
+    )
+    assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
+
+
+def test_where_nothing_disturbs_sizes_go_to_zero():
+    """To less than a tenth of what shows in the noise."""
+    bench, model = estimated_on(pushed_boat(np.zeros(3), 120.0))
+    assert np.all(np.asarray(model.beside.force.size) < 0.15 * KNOWN)
+    # And the likelihood is that of white noise: a coefficient is told as exactly.
+    white, beside = (bench.screen(one) for one in (bench.undisturbed(model), model))
+    own = bench.own(0)[:, 0]
+    assert own @ beside.h.sum(0) @ own == pytest.approx(own @ white.h.sum(0) @ own, rel=0.3)

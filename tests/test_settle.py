@@ -392,7 +392,8 @@ def dependence(dof: int = 0, shapes: int = 3, tied: tuple[str, ...] = ()) -> Dep
 
 def judged_as(model: Model, white: bool = False) -> Judged:
     none: Any = object.__new__(Knots)
-    return Judged(model, Reduced(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1))), PHI, none, white)
+    stats = Reduced(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)))
+    return Judged(model, stats, PHI, none, model, PHI, none, white)
 
 
 def rival_with(rest: float, found: tuple[Dependence, ...] = (dependence(),)) -> Any:

@@ -368,7 +368,8 @@ def test_intervals_hold_what_doubted_coefficients_shift(monkeypatch, doubted):
             _places(np.zeros((windows, 1))),
         )
         phi = float((residual**2).mean())
-        now = Judged(Model((), z, jnp.zeros((windows, 12)), 0.0), knots.stats, phi, knots, False)
+        model = Model((), z, jnp.zeros((windows, 12)), 0.0)
+        now = Judged(model, knots.stats, phi, knots, model, phi, knots, False)
         white = np.linalg.inv(flat.T @ flat)
         std = np.sqrt(np.diag(white + _answer._considered(bench, now, False)))
         held.append(np.abs(z) < 1.96 * std)

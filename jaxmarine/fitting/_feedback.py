@@ -14,21 +14,22 @@ from scipy import stats
 from ..logs import Log
 
 # Samples of the past that a command is predicted from, and parts that are left out in turn.
-PAST, PARTS = 3, 24
+PAST, PARTS = 2, 24
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
 PULL = 1e-6
-# Probability that one of the commands of a log without feedback looks as if it answered.
-CHANCE = 1e-3
+# Probability that one of the commands of a log without feedback looks as if it answered: then a disturbance
+# is looked for that is not there, which costs time and no answer.
+CHANCE = 1e-2
 
 
 def answers(log: Log) -> bool:
-    """Whether some command of a log is predicted better by what was measured up to its sample.
+    """Whether a command of a log, or its wrench, is predicted better by what has just changed in the samples.
 
     Better for certain: by the squared errors in parts of the log that were left out, after Wilcoxon (1945).
     """
-    if log.commands is None or len(log.t) < 4 * PARTS * PAST:
+    if len(log.t) < 4 * PARTS * PAST:
         return False
-    given = np.asarray(log.commands, float)
+    given = np.asarray(log.wrench if log.commands is None else log.commands, float)
     new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
     changes = new.std(axis=0) > 0
     if not changes.any():
@@ -43,7 +44,8 @@ def answers(log: Log) -> bool:
     # What was not measured at a sample is held from the one before, as a controller does.
     seen = _held(seen)
     past = np.concatenate([np.roll(given, k, axis=0) for k in range(1, PAST + 1)], axis=1)[PAST:]
-    shown = np.concatenate([np.roll(seen, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
+    changed = np.diff(seen, axis=0, prepend=seen[:1])
+    shown = np.concatenate([np.roll(changed, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
     alone = _errors(past, new[:, changes])
     better = np.log(alone / _errors(np.concatenate([past, shown], axis=1), new[:, changes]))
     # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.

@@ -1,0 +1,55 @@
+"""Commands that answer what was measured are told from those that do not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxmarine.fitting import answers
+from jaxmarine.logs import Log
+from tests.boats import boat, record, steps
+
+DT, SAMPLES, NOISE = 0.1, 2000, 0.01
+
+
+def steered(seed: int, gain: float, push: float = 0.0, lag: int = 0) -> Log:
+    """A craft of 50 kg in surge whose speed is held by a proportional pilot that sees its noise.
+
+    - `gain` 0: it is steered by sticks instead; `push`: size of a slow force on it [N]; `lag`: samples that
+      the pilot is late.
+    """
+    rng = np.random.default_rng(seed)
+    goals = np.repeat(rng.uniform(-0.8, 0.8, SAMPLES // 40), 40)
+    u, force = 0.0, 0.0
+    seen, commands = np.empty(SAMPLES), np.empty(SAMPLES)
+    for k in range(SAMPLES):
+        seen[k] = u + NOISE * rng.normal()
+        answer = gain * (goals[k] - seen[max(k - lag, 0)]) if gain else goals[k]
+        commands[k] = np.clip(answer, -1.0, 1.0)
+        force += -force * DT / 5.0 + push * np.sqrt(2 * DT / 5.0) * rng.normal()
+        u += DT * (40.0 * commands[k] + force - 40.0 * u) / 50.0
+    channels = np.full((SAMPLES, 18), np.nan)
+    channels[:, 6] = seen
+    return Log(DT * np.arange(SAMPLES), channels, commands[:, None], None, ("stern",), "log.csv")
+
+
+@pytest.mark.parametrize("push", [0.0, 8.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pilot_is_told_from_sticks(seed, push):
+    assert answers(steered(seed, 4.0, push))
+    assert answers(steered(seed, 4.0, push, lag=1))
+    assert not answers(steered(seed, 0.0, push))
+
+
+def test_sticks_of_a_craft_with_three_thrusters_are_not_feedback():
+    """Whatever moves with the commands does so after them."""
+    for seed in range(5):
+        assert not answers(record(boat(), steps(1500, seed=seed), seed=seed))
+
+
+def test_logs_that_cannot_tell_are_not_feedback():
+    log = steered(0, 4.0)
+    assert not answers(dataclasses.replace(log, commands=np.zeros_like(log.commands)))
+    short = slice(0, 100)
+    assert not answers(Log(log.t[short], log.channels[short], log.commands[short], None, ("stern",), "a.csv"))
+    assert not answers(Log(log.t, log.channels, None, np.zeros((SAMPLES, 6)), (), "wrenches.csv"))
