@@ -11,8 +11,8 @@ from ..vehicle import Vehicle
 from ._plausible import full_thrust
 
 # Along a path that begins anew so often [s] what a disturbance does to a craft meanwhile is small beside the
-# noise. Measured on a craft that holds its station with nothing hidden: after 4 s a false cause was worth some
-# ten thousand nats, after 1 s its drag that grows with the square of the speed 79, after 0.5 s the best one 6.
+# noise. Measured on a craft that holds its station with nothing hidden: after 4 s a false cause was worth
+# thousands of nats, after 1 s its quadratic drag was worth 79, after 0.5 s the best one 6.
 STRAIGHT = 0.5
 # Samples that a path is followed for at least.
 FEWEST = 4
