@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
 
 from experiments.blind.outside import play
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced, blocks
 from jaxmarine.diagnosis._signals import Places, _played
-from jaxmarine.diagnosis._unknown import RIDGES, _left_out, dependences, size_only
+from jaxmarine.diagnosis._unknown import RIDGES, _evidence, _left_out, dependences, likely, size_only
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -290,3 +291,29 @@ def test_what_hangs_on_the_past_of_a_command_is_not_learned_as_if_it_did_not():
     at_once = knots_with(np.abs(signals["port"]) * signals["port"], signals, rng, port=played)
     (found,) = dependences(at_once, 1.0)
     assert not found.remembers and learn(at_once, (found,), ("port",))
+
+
+def test_evidence_of_shapes_of_one_size_is_that_of_the_gaussian():
+    """Against the densities with and without them, over sizes; and the size at which it is largest."""
+    rng = np.random.default_rng(11)
+    x = rng.normal(size=(40, 3)) * [1.0, 2.0, 0.5]
+    y = x @ [0.5, -0.4, 0.3] + rng.normal(size=40)
+    nats, pull = _evidence(x.T @ x, -x.T @ y)
+
+    def of(size: float) -> float:
+        return float(multivariate_normal(np.zeros(40), np.eye(40) + size**2 * x @ x.T).logpdf(y))
+
+    best = max(np.geomspace(0.01, 10.0, 400), key=of)
+    # It looks at sizes a quarter apart, an eighth away at most.
+    assert nats == pytest.approx(of(best) - of(0.0), abs=0.1)
+    assert pull**-0.5 == pytest.approx(best, rel=0.15)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.15])
+def test_a_dependence_must_make_the_logs_more_likely(size):
+    """One that is there does, one that is not does not, however it was proposed."""
+    rng = np.random.default_rng(7)
+    signals = {"u": rng.normal(size=SHAPE), "v": rng.normal(size=SHAPE)}
+    proposed = dependences(knots_with(signals["u"], signals, rng), 1.0)
+    assert [one.signals for one in proposed] == [("u",)]
+    assert likely(knots_with(size * signals["u"], signals, rng), proposed) == (proposed if size else ())
