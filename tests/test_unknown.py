@@ -313,7 +313,8 @@ def test_evidence_of_shapes_of_one_size_is_that_of_the_gaussian():
 def test_a_dependence_must_make_the_logs_more_likely(size):
     """One that is there does, one that is not does not, however it was proposed."""
     rng = np.random.default_rng(7)
-    signals = {"u": rng.normal(size=SHAPE), "v": rng.normal(size=SHAPE)}
+    t = np.arange(WINDOWS * KNOTS).reshape(SHAPE)
+    signals = {"u": np.sin(0.11 * t), "v": np.cos(0.17 * t + 1.0)}
     proposed = dependences(knots_with(signals["u"], signals, rng), 1.0)
     assert [one.signals for one in proposed] == [("u",)]
     assert likely(knots_with(size * signals["u"], signals, rng), proposed) == (proposed if size else ())

@@ -449,13 +449,16 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
     odds for how many sets of signals there are to try. A disturbance that goes with a signal for a while, as
     with a command that answers it, has its own place in the likelihood and needs no dependence.
 
+    Shapes are those of the knot before: within a knot a command already answers the force that acts in it.
+
     - `k`: beside the disturbance.
     """
+    before = {id(one): dataclasses.replace(one, features=_earlier(k, one.features)) for one in found}
     enough = np.log(len(k.places.signals) ** 2 * k.free.sum()) + 0.5 * LEAST
     accepted: tuple[Dependence, ...] = ()
     pulls = np.zeros(0)
     for one in found:
-        wrenches = _wrenches(k, (*accepted, one))
+        wrenches = _wrenches(k, tuple(before[id(other)] for other in (*accepted, one)))
         size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
         g, h = _beside(k, wrenches / np.maximum(size, 1e-300))
         first = len(g) - one.features.shape[-1]
@@ -468,6 +471,15 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
             accepted = (*accepted, one)
             pulls = np.append(pulls, np.full(len(own), pull))
     return accepted
+
+
+def _earlier(k: Knots, features: np.ndarray) -> Float[np.ndarray, "windows knots features"]:
+    """Features of the knot before each, none where a log begins."""
+    flat = features.reshape(-1, features.shape[-1])
+    out = np.roll(flat, 1, axis=0).reshape(features.shape)
+    begins = np.diff(k.places.log, prepend=-1) != 0
+    out[begins, 0] = 0.0
+    return out
 
 
 def _evidence(h: np.ndarray, g: np.ndarray) -> tuple[float, float]:
