@@ -48,7 +48,6 @@ def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturba
         start=normal(13),
         end=normal(13, COLUMNS),
         delta=normal(12),
-        wrench=normal(AXES),
         carry=force.carry,
         joined=force.joined,
     ), force
@@ -57,13 +56,12 @@ def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturba
 def joined_up(every: Windowed, force: Disturbance):
     """Information by the columns and the determinants' logarithm of all windows, by the filter."""
     passed = jax.vmap(lambda line: _filter.filtered(line, force))(every.line)
-    message, before = _filter._nothing_known(force, COLUMNS), jnp.zeros((13, COLUMNS))
+    message = _filter._nothing_known(force, COLUMNS)
     information, log_det = 0.0, 0.0
     for w in range(len(every.start)):
         window, here = jax.tree.map(lambda a, w=w: a[w], (every, passed))
-        begun = _filter.opened(message, force, window.opening(before), jnp.asarray(SPREAD))
-        more, log, message = _filter.handed_on(here, *begun)
-        information, log_det, before = information + more, log_det + log, window.end
+        more, log, message = window.after(message, here, force, jnp.asarray(SPREAD))
+        information, log_det = information + more, log_det + log
     return np.asarray(information), float(log_det)
 
 
@@ -204,7 +202,7 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
         z[0] = step
         group = jnp.asarray(bench.fine.group)
         affine = likely.affine.at(jnp.asarray(z))
-        found = _filter.screened(likely.problem, affine, likely.force, path, group, bench._most_groups)
+        found = _filter.innovations(likely.problem, affine, likely.force, path, group, bench._most_groups)
         return float(found.minus_twice.sum()), float(found.g.sum(0)[0]), float(found.h.sum(0)[0, 0])
 
     (below, *_), (here, slope, curvature), (above, *_) = of(-h), of(0.0), of(h)

@@ -32,6 +32,7 @@ from ..fitting import (
     estimated,
     evaluated,
     free_wrench,
+    innovations,
     largest,
     lines,
     maximise,
@@ -40,7 +41,6 @@ from ..fitting import (
     predict,
     refine_windows,
     scaled,
-    screened,
     screening,
     segments,
     start_precision,
@@ -446,26 +446,17 @@ class Workbench:
         none = dataclasses.replace(here, columns=jnp.zeros_like(here.columns))
         return none, jnp.ones_like(task.precision)
 
-    def refine_each(self, models: Sequence[Model], max_steps: int = 25, rtol: float = EXACT) -> list[Model]:
-        """`refine` of each, as many at once as there are processors: a compiled program keeps one busy."""
+    def refine_each(
+        self, models: Sequence[Model], max_steps: int = 25, rtol: float = EXACT, times: int = 0
+    ) -> list[Model]:
+        """`likeliest` of each, as many at once as there are processors: a compiled program keeps one busy."""
 
         def refined(model: Model) -> Model:
             # Precision that was asked for by `with` is the calling thread's alone.
             with jax.enable_x64(True):
-                return self.refine(model, max_steps, rtol)
-
-        # The first compiles the program that the others share.
-        first = [refined(model) for model in models[:1]]
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return [*first, *pool.map(refined, models[1:])]
-
-    def likeliest_each(self, models: Sequence[Model], max_steps: int, rtol: float, times: int) -> list[Model]:
-        """`likeliest` of each, as `refine_each`."""
-
-        def refined(model: Model) -> Model:
-            with jax.enable_x64(True):
                 return self.likeliest(model, max_steps, rtol, times)
 
+        # The first compiles the program that the others share.
         first = [refined(model) for model in models[:1]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return [*first, *pool.map(refined, models[1:])]
@@ -631,7 +622,7 @@ class Workbench:
             return self._screening(model)[0]
         problem = self.problem(model.members, self.fine.problem)
         groups = jnp.asarray(self.fine.group)
-        found = screened(
+        found = innovations(
             problem,
             self._every_column(model),
             model.beside.force,

@@ -309,7 +309,7 @@ def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = s
         starts.setdefault(member, np.zeros(bench.layout.columns[member.suspect].shape[1]))
     progress("refitting the best suspects")
     begun = [bench.with_member(model, member, value) for member, value in starts.items()]
-    refitted = bench.likeliest_each(begun, STEPS, ROUGH, 2)
+    refitted = bench.refine_each(begun, STEPS, ROUGH, 2)
     trials = [trial_of(model, member, one) for member, one in zip(starts, refitted, strict=True)]
     return _by_penalty(bench, [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)])
 

@@ -27,9 +27,9 @@ from ._filter import Likelihood as Likelihood
 from ._filter import Path as Path
 from ._filter import estimated as estimated
 from ._filter import free_wrench as free_wrench
+from ._filter import innovations as innovations
 from ._filter import lines as lines
 from ._filter import maximise as maximise
-from ._filter import screened as screened
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit

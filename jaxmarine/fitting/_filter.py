@@ -18,22 +18,19 @@ Source: after Ljung, System Identification, on prediction errors, and Anderson a
 """
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int, PyTree
-from scipy.optimize import minimize
+from jaxtyping import Array, Bool, Float, Int
+from scipy import optimize
 
 from .._compiled import compiled
+from ._damped import ATOL, DampedGaussNewton, minimise
 from ._linearise import Affine, Rows, added, of_filled, swept
 from ._parts import in_parts, joined
 from ._rollout import LOOSE, TIGHT, Problem
-from ._trust import Trust, pick
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
@@ -49,8 +46,6 @@ LEAST, MOST = 1e-6, 2.0
 # Steps of the search for sizes and memories, and the share of the likelihood's logarithm, of some ten
 # thousand samples, that is not worth one.
 STEPS, ENOUGH = 40, 1e-6
-# Decrease of minus twice the logarithm of the likelihood that is not worth a step.
-ATOL = 1e-2
 # Windows that are filtered side by side where only their likelihood is asked for.
 TOGETHER = 20
 
@@ -117,10 +112,14 @@ class Passed(eqx.Module):
 
 
 class Message(eqx.Module):
-    """What is known of state and wrench where a window ends: by the columns that stay, and how well."""
+    """What is known of state and wrench where a window ends, by the columns that stay.
+
+    - `mean`: how far these are below those of the path without a wrench, which ends at `end`; `covariance`.
+    """
 
     mean: Float[Array, "13+axes columns"]
     covariance: Float[Array, "13+axes 13+axes"]
+    end: Float[Array, "13 columns"]
 
 
 def _throughout(by_knots: Float[Array, "*rows knots*6"], force: Disturbance) -> Float[Array, "*rows axes"]:
@@ -184,41 +183,10 @@ def filtered(line: Line, force: Disturbance) -> Passed:
     return Passed(white.T @ white, log_det, mean, covariance)
 
 
-class Opening(eqx.Module):
-    """How a window begins.
-
-    - `begin`: derivative of its first state by twelve changes; `ahead`: by how much this state is above that
-      with which the path of the window before ended, without a wrench, by the columns that stay; `guess`: by
-      how much it is above the guess.
-    - `carry`: share that the wrench has of the one before; `joined`: whether the state goes on.
-    """
-
-    begin: Float[Array, "13 12"]
-    ahead: Float[Array, "13 columns"]
-    guess: Float[Array, "12"]
-    carry: Float[Array, " axes"]
-    joined: Bool[Array, ""]
-
-
-def opened(
-    message: Message, force: Disturbance, opening: Opening, spread: Float[Array, "12"]
-) -> tuple[Float[Array, "12+axes columns"], Float[Array, "12+axes 12+axes"]]:
-    """Mean and covariance of the twelve changes of a window's first state, and of its first wrench."""
-    turn = jnp.linalg.pinv(opening.begin)
-    carried = jnp.zeros((12 + len(force.axes), 13 + len(force.axes)))
-    carried = carried.at[:12, :13].set(jnp.where(opening.joined, turn, 0.0))
-    carried = carried.at[12:, 13:].set(jnp.diag(opening.carry))
-    free = jnp.zeros((12, opening.ahead.shape[1])).at[:, -1].set(opening.guess)
-    ahead = jnp.where(opening.joined, turn @ opening.ahead, free)
-    new = jnp.where(opening.joined, 0.0, spread**2), force.size**2 * (1.0 - opening.carry**2)
-    mean = (carried @ message.mean).at[:12].add(ahead)
-    return mean, carried @ message.covariance @ carried.T + jnp.diag(jnp.concatenate(new))
-
-
-def handed_on(
-    passed: Passed, mean: Float[Array, "12+axes columns"], covariance: Float[Array, "12+axes 12+axes"]
+def _passed_on(
+    passed: Passed, mean: Float[Array, "12+axes columns"], covariance: Float[Array, "12+axes 12+axes"], end
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
-    """One window joined to those before it: its information, its determinant and what it tells the next."""
+    """The information and the determinant of a window that begins so, and what it tells the next."""
     first = len(covariance)
     given = passed.information.shape[0] - first - 1
     e = np.arange(given, given + first)
@@ -234,6 +202,7 @@ def handed_on(
     after = Message(
         mean=passed.last @ onto - by_e @ (gain @ slope),
         covariance=passed.covariance + by_e @ gain @ by_e.T,
+        end=end,
     )
     information = onto.T @ passed.information @ onto - slope.T @ gain @ slope
     return information, passed.log_det + jnp.linalg.slogdet(whole)[1], after
@@ -241,7 +210,7 @@ def handed_on(
 
 def _nothing_known(force: Disturbance, columns: int) -> Message:
     state = 13 + len(force.axes)
-    return Message(jnp.zeros((state, columns)), jnp.zeros((state, state)))
+    return Message(jnp.zeros((state, columns)), jnp.zeros((state, state)), jnp.zeros((13, columns)))
 
 
 class Innovations(eqx.Module):
@@ -278,7 +247,6 @@ class Windowed(eqx.Module):
     start: Float[Array, "13"]
     end: Float[Array, "13 columns"]
     delta: Float[Array, "12"]
-    wrench: Float[Array, " axes"]
     carry: Float[Array, " axes"]
     joined: Bool[Array, ""]
 
@@ -297,19 +265,40 @@ class Windowed(eqx.Module):
                 axis=1,
             ),
             delta=path.delta[index],
-            wrench=wrench,
             carry=force.carry[index],
             joined=force.joined[index],
         )
 
-    def opening(self, end: Float[Array, "13 columns"]) -> Opening:
-        """Against the state with which the window before ended."""
+    def ahead(self, message: Message) -> Float[Array, "12 columns"]:
+        """By how many changes its first state is above that with which the path before it ended."""
         # Quaternions of both signs are one attitude.
-        end = end.at[3:7].multiply(jnp.where(end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0))
-        ahead = (-end).at[:, -1].add(self.start)
-        return Opening(self.line.begin, ahead, self.delta, self.carry, self.joined)
+        sign = jnp.where(message.end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0)
+        end = message.end.at[3:7].multiply(sign)
+        return jnp.linalg.pinv(self.line.begin) @ (-end).at[:, -1].add(self.start)
+
+    def begun(
+        self, message: Message, force: Disturbance, spread: Float[Array, "12"]
+    ) -> tuple[Float[Array, "12+axes columns"], Float[Array, "12+axes 12+axes"]]:
+        """Mean and covariance of the twelve changes of its first state, and of its first wrench."""
+        carried = jnp.zeros((12 + len(force.axes), 13 + len(force.axes)))
+        carried = carried.at[:12, :13].set(jnp.where(self.joined, jnp.linalg.pinv(self.line.begin), 0.0))
+        carried = carried.at[12:, 13:].set(jnp.diag(self.carry))
+        free = jnp.zeros((12, message.end.shape[1])).at[:, -1].set(self.delta)
+        new = jnp.where(self.joined, 0.0, spread**2), force.size**2 * (1.0 - self.carry**2)
+        mean = (carried @ message.mean).at[:12].add(jnp.where(self.joined, self.ahead(message), free))
+        return mean, carried @ message.covariance @ carried.T + jnp.diag(jnp.concatenate(new))
+
+    def after(
+        self, message: Message, passed: Passed, force: Disturbance, spread: Float[Array, "12"]
+    ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
+        """The window joined to those before it: its information, its determinant and what it tells the next.
+
+        - `message`: of the window before; `passed`: this window filtered.
+        """
+        return _passed_on(passed, *self.begun(message, force, spread), self.end)
 
 
+@compiled
 def innovations(
     problem: Problem,
     affine: Affine,
@@ -338,24 +327,19 @@ def innovations(
         )
 
     def each(carry, now):
-        total, message, before = carry
+        total, message = carry
         window, passed, group, half, follows = now
-        opening = window.opening(before)
         expected = -half * window.carry * message.mean[13:, -1]
         # As the one before lets one expect it, if this window follows it at once.
-        ahead = jnp.linalg.pinv(window.line.begin) @ (opening.ahead[:, -1] + message.mean[:13, -1])
-        following = Path(jnp.where(follows, window.delta - ahead, window.delta), expected)
-        information, log_det, message = handed_on(passed, *opened(message, force, opening, spread))
-        kept = information[-1, -1] + log_det, information[:-1, -1], following
-        return (added(total, information[:-1, :-1], group), message, window.end), kept
+        known = jnp.linalg.pinv(window.line.begin) @ message.mean[:13, -1]
+        delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
+        information, log_det, message = window.after(message, passed, force, spread)
+        kept = information[-1, -1] + log_det, information[:-1, -1], Path(delta, expected)
+        return (added(total, information[:-1, :-1], group), message), kept
 
-    begin = (
-        jnp.zeros((groups + 1, given, given)),
-        _nothing_known(force, given + 1),
-        jnp.zeros((13, given + 1)),
-    )
+    begin = jnp.zeros((groups + 1, given, given)), _nothing_known(force, given + 1)
     every = pushed(problem, force, path), affine, path.delta, 1
-    (h, _, _), (minus_twice, g, path) = swept(*every, of_rows, each, begin)
+    (h, _), (minus_twice, g, path) = swept(*every, of_rows, each, begin)
     return Innovations(minus_twice, g, h[:-1], path)
 
 
@@ -397,15 +381,13 @@ def _improbability(
         passed = jax.tree.map(lambda a: joined(a, count), passed)
 
         @jax.checkpoint
-        def each(carry, here):
-            message, before = carry
+        def each(message, here):
             window, passed = here
-            begun = opened(message, now, window.opening(before), spread)
-            information, log_det, message = handed_on(passed, *begun)
-            return (message, window.end), information[-1, -1] + log_det
+            information, log_det, message = window.after(message, passed, now, spread)
+            return message, information[-1, -1] + log_det
 
         windows = eqx.tree_at(lambda w: w.carry, every, now.carry)
-        _, minus_twice = jax.lax.scan(each, (_nothing_known(now, 1), jnp.zeros((13, 1))), (windows, passed))
+        _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (windows, passed))
         return minus_twice.sum() + ((jnp.log(time / USUAL) / SPREAD) ** 2).sum()
 
     return jax.value_and_grad(of)(logarithms)
@@ -432,7 +414,9 @@ def estimated(
     begin = np.log(np.concatenate([np.maximum(np.asarray(force.size) / unit, LEAST) / np.sqrt(time), time]))
     bounds = list(zip(low, high, strict=True))
     how = {"maxiter": STEPS, "ftol": ENOUGH}
-    best = minimize(of, np.clip(begin, low, high), jac=True, method="L-BFGS-B", bounds=bounds, options=how)
+    best = optimize.minimize(
+        of, np.clip(begin, low, high), jac=True, method="L-BFGS-B", bounds=bounds, options=how
+    )
     new, time = np.exp(best.x.reshape(2, -1))
     return dataclasses.replace(force, size=jnp.asarray(new * np.sqrt(time) * unit), time=jnp.asarray(time))
 
@@ -453,71 +437,26 @@ def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Float[Array, "
     return 0.5 * (found.minus_twice.sum() + (task.precision * z * z).sum()), found
 
 
-class _State(eqx.Module):
-    y_eval: tuple[Array, Path]
-    found: Innovations
-    trust: Trust
-    terminate: Bool[Array, ""]
-    steps: Int[Array, ""]
-
-
-class FilterGaussNewton(optx.AbstractMinimiser[tuple[Array, Path], Innovations, _State]):
+class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
     """Damped Gauss-Newton on the innovations; each step goes on from the path that the last one predicts.
 
-    It ends as `WindowGaussNewton` does; options: `limit` of steps, `least` decrease that is worth one, and
-    the `damping` of the first.
+    A step is worth the decrease of -2 log p that the option `least` says, and `ATOL` at least.
     """
 
-    rtol: float = 0.0
-    atol: float = 0.0
-    norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
+    def usable(self, found: Innovations) -> Bool[Array, ""]:
+        return jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all()
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        del fn, args, f_struct, tags
-        return _State(
-            y_eval=y,
-            found=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
-            trust=Trust.start(options["damping"]),
-            terminate=jnp.array(False),
-            steps=jnp.array(0),
-        )
-
-    def step(self, fn, y, args: Likelihood, options, state: _State, tags):
-        del tags
-        cost, found = fn(state.y_eval, args)
-        usable = jnp.isfinite(cost) & jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all()
-        better, trust = state.trust.judged(jnp.where(usable, cost, jnp.inf))
-        y, found = pick(better, state.y_eval, y), pick(better, found, state.found)
+    def moved(
+        self, y: tuple[Array, Path], found: Innovations, args: Likelihood, damping: Float[Array, ""]
+    ) -> tuple[tuple[Array, Path], Float[Array, ""]]:
         z, _ = y
         h, g = found.h.sum(0) + jnp.diag(args.precision), found.g.sum(0) + args.precision * z
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
-        d_z = -jax.scipy.linalg.solve(h + trust.damping * jnp.diag(scale), g, assume_a="pos")
-        predicted = -(g @ d_z + 0.5 * d_z @ h @ d_z)
-        small = 2 * predicted < jnp.maximum(ATOL, options["least"])
-        lost = ~jnp.isfinite(predicted) | (trust.damping > 1e8)
-        return (
-            y,
-            _State((z + d_z, found.path), found, trust.promised(predicted), small | lost, state.steps + 1),
-            found,
-        )
+        d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g, assume_a="pos")
+        return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
-    def terminate(self, fn, y, args, options, state: _State, tags):
-        del fn, y, args, tags
-        spent = state.steps >= options["limit"]
-        result = optx.RESULTS.where(
-            state.terminate | ~spent,
-            optx.RESULTS.successful,
-            optx.RESULTS.nonlinear_max_steps_reached,
-        )
-        return state.terminate | spent, result
-
-    def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
-        del fn, args, options, tags, result
-        return (
-            y,
-            aux,
-            {"cost": state.trust.cost, "predicted": state.trust.predicted, "damping": state.trust.damping},
-        )
+    def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.maximum(ATOL, options["least"])
 
 
 class Likeliest(eqx.Module):
@@ -545,34 +484,11 @@ def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damp
 
 @compiled
 def _maximise(task: Likelihood, z, path: Path, options) -> Likeliest:
-    solution: Any = optx.minimise(
-        _improbable,
-        FilterGaussNewton(),
-        (z, path),
-        task,
-        options=options,
-        has_aux=True,
-        max_steps=None,
-        throw=False,
-        adjoint=optx.ImplicitAdjoint(),
-    )
+    solution = minimise(_improbable, FilterGaussNewton(), (z, path), task, options)
     stats = solution.stats
     return Likeliest(
         solution.value[0], solution.aux.path, stats["cost"], stats["predicted"], stats["damping"]
     )
-
-
-@compiled
-def screened(
-    problem: Problem,
-    affine: Affine,
-    force: Disturbance,
-    path: Path,
-    group: Int[Array, " windows"],
-    groups: int,
-) -> Innovations:
-    """`innovations` by themselves."""
-    return innovations(problem, affine, force, path, group, groups)
 
 
 @compiled
@@ -596,31 +512,27 @@ def free_wrench(
 
     def of_rows(rows, index):
         window = Windowed.of(rows, given, path, force, index)
-        residual, place = window.line.residual, given + index % parts * width
-        aside = jnp.zeros((*residual.shape[:2], columns + 1))
-        aside = aside.at[..., :given].set(residual[..., :-1]).at[..., -1].set(residual[..., -1])
-        aside = jax.lax.dynamic_update_slice(aside, rows.jacobian[..., 12 + given :], (0, 0, place))
-        end = (
-            jnp.zeros((13, columns + 1))
-            .at[:, :given]
-            .set(window.end[:, :-1])
-            .at[:, -1]
-            .set(window.end[:, -1])
-        )
-        end = jax.lax.dynamic_update_slice(end, rows.end_by[:, 12 + given :], (0, place))
+        place = given + index % parts * width
+
+        def beside(stays: Array, by_knots: Array) -> Array:
+            """What stays, with the window's own knots in their place before its last column."""
+            room = jnp.zeros((*stays.shape[:-1], columns + 1))
+            room = room.at[..., :given].set(stays[..., :-1]).at[..., -1].set(stays[..., -1])
+            return jax.lax.dynamic_update_slice_in_dim(room, by_knots, place, axis=-1)
+
+        aside = beside(window.line.residual, rows.jacobian[..., 12 + given :])
+        end = beside(window.end, rows.end_by[:, 12 + given :])
         window = eqx.tree_at(lambda w: (w.line.residual, w.end), window, (aside, end))
         return window, filtered(window.line, force), of_filled(group, groups, index)
 
     def each(carry, now):
-        total, message, before = carry
+        total, message = carry
         window, passed, group = now
         forgotten = message.mean.at[:, given:columns].multiply(window.joined)
         message = eqx.tree_at(lambda m: m.mean, message, forgotten)
-        begun = opened(message, force, window.opening(before), spread)
-        information, _, message = handed_on(passed, *begun)
-        return (added(total, information, group), message, window.end), None
+        information, _, message = window.after(message, passed, force, spread)
+        return (added(total, information, group), message), None
 
-    nothing = _nothing_known(force, columns + 1), jnp.zeros((13, columns + 1))
-    begin = jnp.zeros((groups + 1, columns + 1, columns + 1)), *nothing
+    begin = jnp.zeros((groups + 1, columns + 1, columns + 1)), _nothing_known(force, columns + 1)
     every = pushed(problem, force, path), affine, path.delta, knots
     return swept(*every, of_rows, each, begin)[0][0][:-1]

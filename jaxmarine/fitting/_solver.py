@@ -6,25 +6,20 @@ equations window by window, eliminates each window's initial state exactly, and 
 loop, results and statistics.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
 from .._compiled import compiled
+from ._damped import ATOL, DampedGaussNewton, minimise
 from ._linearise import Affine, Statistics, linearise
 from ._rollout import Problem
-from ._trust import Trust, pick
 
 # Damping of the initial states, as a share of that of the parameters.
 STATES = 1e-4
-# Decrease of the chi-square that is not worth a step: far below what a parameter's standard error costs.
-ATOL = 1e-2
 # Damping of the first step, where nothing is known of the ones before.
 LEAST_DAMPING = 1e-4
 
@@ -60,99 +55,39 @@ def residual_statistics(y: Unknowns, task: Task) -> tuple[Float[Array, ""], Stat
     return 0.5 * (stats.chi2.sum() + (task.precision * z * z).sum()), stats
 
 
-class _State(eqx.Module):
-    y_eval: Unknowns
-    stats: Statistics
-    trust: Trust
-    terminate: Bool[Array, ""]
-    steps: Int[Array, ""]
+class WindowGaussNewton(DampedGaussNewton[Unknowns, Statistics]):
+    """Damped Gauss-Newton on `residual_statistics`, scaled by Marquardt (1963).
 
-
-class WindowGaussNewton(optx.AbstractMinimiser[Unknowns, Statistics, _State]):
-    """Damped Gauss-Newton on `residual_statistics`; damping as in `Trust`, scaled by Marquardt (1963).
-
-    It ends where the predicted decrease of the chi-square falls below `ATOL + rtol * chi-square`, where
-    damping of 1e8 finds no decrease, or after `limit` steps; `rtol`, `limit` and the damping that it starts
-    with come as options, traced, so that one compiled program serves a probe and a long fit.
+    A step is worth `ATOL` and a share of the chi-square (option `rtol`).
     """
 
-    # What optimistix asks of any minimiser; the options decide.
-    rtol: float = 0.0
-    atol: float = 0.0
-    norm: Callable[[PyTree], Float[Array, ""]] = optx.max_norm
+    def usable(self, found: Statistics) -> Bool[Array, ""]:
+        return jnp.isfinite(found.h_zz).all() & jnp.isfinite(found.h_xx).all()
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _State:
-        del fn, args, f_struct, tags
-        return _State(
-            y_eval=y,
-            stats=jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), aux_struct),
-            trust=Trust.start(options["damping"]),
-            terminate=jnp.array(False),
-            steps=jnp.array(0),
-        )
-
-    def step(self, fn, y, args: Task, options, state: _State, tags):
-        del tags
-        cost, stats = fn(state.y_eval, args)
-        # Where a roll-out is finite its sensitivities may not be: no step could start from there.
-        usable = jnp.isfinite(cost) & jnp.isfinite(stats.h_zz).all() & jnp.isfinite(stats.h_xx).all()
-        better, trust = state.trust.judged(jnp.where(usable, cost, jnp.inf))
-        y, stats = pick(better, state.y_eval, y), pick(better, stats, state.stats)
-
+    def moved(
+        self, y: Unknowns, found: Statistics, args: Task, damping: Float[Array, ""]
+    ) -> tuple[Unknowns, Float[Array, ""]]:
         z, delta = y
         # Initial states are damped too, or a step of theirs that overshoots could never be shortened; but
         # far less, since within a window they are nearly collinear and would creep (measured: a payload
         # took 5 steps without it, and did not converge in 25 with as much damping as z).
-        softened = jax.vmap(lambda h: h + STATES * trust.damping * jnp.diag(jnp.diag(h)))(stats.h_xx)
-        _, g, h = eqx.tree_at(lambda s: s.h_xx, stats, softened).reduced()
+        softened = jax.vmap(lambda h: h + STATES * damping * jnp.diag(jnp.diag(h)))(found.h_xx)
+        _, g, h = eqx.tree_at(lambda s: s.h_xx, found, softened).reduced()
         prior = args.precision * z
         h = h.sum(0) + jnp.diag(args.precision)
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
-        d_z = -jax.scipy.linalg.solve(h + trust.damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
+        d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
         # Window by window, as in `Statistics.reduced`.
-        d_x = -jax.lax.map(_solved, (softened, stats.g_x + stats.h_xz @ d_z))
-        # Decrease by the quadratic model itself, which knows no damping.
-        bend = jnp.einsum("wx,wxy,wy->", d_x, stats.h_xx, d_x) + d_z @ (
-            stats.h_zz.sum(0) @ d_z + args.precision * d_z
+        d_x = -jax.lax.map(_solved, (softened, found.g_x + found.h_xz @ d_z))
+        bend = jnp.einsum("wx,wxy,wy->", d_x, found.h_xx, d_x) + d_z @ (
+            found.h_zz.sum(0) @ d_z + args.precision * d_z
         )
-        slope = (stats.g_x * d_x).sum() + (stats.g_z.sum(0) + prior) @ d_z
-        predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, stats.h_xz, d_z) + 0.5 * bend)
-        small = 2 * predicted < ATOL + options["rtol"] * 2 * trust.cost
-        lost = ~jnp.isfinite(predicted) | (trust.damping > 1e8)
-        return (
-            y,
-            _State(
-                y_eval=(z + d_z, delta + d_x),
-                stats=stats,
-                trust=trust.promised(predicted),
-                terminate=small | lost,
-                steps=state.steps + 1,
-            ),
-            stats,
-        )
+        slope = (found.g_x * d_x).sum() + (found.g_z.sum(0) + prior) @ d_z
+        predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, found.h_xz, d_z) + 0.5 * bend)
+        return (z + d_z, delta + d_x), predicted
 
-    def terminate(self, fn, y, args, options, state: _State, tags):
-        del fn, y, args, tags
-        spent = state.steps >= options["limit"]
-        result = optx.RESULTS.where(
-            state.terminate | ~spent,
-            optx.RESULTS.successful,
-            optx.RESULTS.nonlinear_max_steps_reached,
-        )
-        return state.terminate | spent, result
-
-    def postprocess(self, fn, y, aux, args, options, state: _State, tags, result):
-        del fn, aux, args, options, tags, result
-        return (
-            y,
-            state.stats,
-            {
-                "cost": state.trust.cost,
-                "steps": state.steps,
-                "predicted": state.trust.predicted,
-                "damping": state.trust.damping,
-            },
-        )
+    def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
+        return ATOL + options["rtol"] * 2 * cost
 
 
 class Refined(eqx.Module):
@@ -192,17 +127,7 @@ def refine_windows(
 
 @compiled
 def _refine_windows(task: Task, z, delta, options) -> Refined:
-    solution: Any = optx.minimise(
-        residual_statistics,
-        WindowGaussNewton(),
-        (z, delta),
-        task,
-        options=options,
-        has_aux=True,
-        max_steps=None,
-        throw=False,
-        adjoint=optx.ImplicitAdjoint(),
-    )
+    solution = minimise(residual_statistics, WindowGaussNewton(), (z, delta), task, options)
     z, delta = solution.value
     return Refined(
         z=z,
