@@ -420,7 +420,7 @@ def screening(seconds: float, catalogue: Any, rounds: int) -> Stage:
         return float(np.abs(sizes(found) - sizes(reference)).max())
 
     def ranked(single, double):
-        first, others = (shortlist(bench, model, stats(one))[0][:SHORTLIST] for one in (single, double))
+        first, others = (list(shortlist(bench, model, stats(one))[0])[:SHORTLIST] for one in (single, double))
         same = sum(a == b for a, b in zip(first, others, strict=True))
         middle = float(np.median(np.abs(sizes(single) - sizes(double))))
         return (

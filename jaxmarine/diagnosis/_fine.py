@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..fitting import Cut, Disturbance, Path, Problem, Room, split
+from ..fitting import MEMORY, SIZE, Cut, Disturbance, Path, Problem, Room, split
 from ..vehicle import Vehicle
 from ._plausible import full_thrust
 
@@ -16,8 +16,6 @@ from ._plausible import full_thrust
 STRAIGHT = 0.5
 # Samples that a path is followed for at least.
 FEWEST = 4
-# What a disturbance is taken for first: a share of the full thrust, and its memory [s].
-SIZE, TIME = 0.02, 4.0
 # From one log to the next: many times any memory [s].
 _LONG = 1e6
 # Acceleration [m/s², rad/s²] that stands for the full thrust of a craft that has none.
@@ -77,7 +75,7 @@ class Fine:
         groups[:count] = np.repeat(group[: data.windows.count], parts)
         begin = Disturbance(
             size=jnp.asarray(SIZE * unit),
-            time=jnp.full(len(axes), TIME),
+            time=jnp.full(len(axes), MEMORY),
             gap=jnp.asarray(gap),
             joined=jnp.asarray(joined),
             axes=tuple(axes.tolist()),

@@ -72,6 +72,8 @@ EXACT = 1e-6
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
+# Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
+UNLEARNED = 0.25
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -110,10 +112,14 @@ class Member:
 
 @dataclasses.dataclass(frozen=True)
 class Beside:
-    """A disturbance, and the path along which the windows are followed beside it."""
+    """A disturbance, and the path along which the windows are followed beside it.
+
+    - `covariance`: of the logarithms of its sizes and memories (`fitting.estimated`).
+    """
 
     force: Disturbance
     path: Path
+    covariance: Float[np.ndarray, "logarithms logarithms"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -383,10 +389,10 @@ class Workbench:
         z = self._padded(model.z)
         damping = float(np.clip(model.damping, LEAST_DAMPING, MOST_DAMPING))
         if model.beside is not None:
-            force, path = model.beside.force, model.beside.path
-            likely = self._likelihood(model, force)
+            likely = self._likelihood(model, model.beside.force)
+            path = model.beside.path
             out = maximise(likely, jnp.asarray(z), path, max_steps, rtol * self.samples, damping)
-            moved = {"beside": Beside(force, out.path)}
+            moved = {"beside": dataclasses.replace(model.beside, path=out.path)}
         else:
             out = refine_windows(
                 self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
@@ -407,7 +413,9 @@ class Workbench:
 
     def disturbed(self, model: Model) -> Model:
         """The model beside a disturbance of the usual size, along the path as measured."""
-        return dataclasses.replace(model, beside=Beside(self.fine.begin, self.fine.path), cost=np.inf)
+        fine = self.fine
+        learned = UNLEARNED * np.eye(2 * len(fine.unit))
+        return dataclasses.replace(model, beside=Beside(fine.begin, fine.path, learned), cost=np.inf)
 
     def likeliest(
         self, model: Model, max_steps: int = 25, rtol: float = EXACT, times: int = ESTIMATES
@@ -421,9 +429,10 @@ class Workbench:
             if model.beside is None or not np.isfinite(model.cost):
                 break
             problem = self.problem(model.members, self.fine.problem)
-            force, path = model.beside.force, model.beside.path
-            every = lines(problem, jnp.asarray(self.theta(model)), force, path)
-            now = Beside(estimated(problem, every, force, self.fine.unit), path)
+            beside = model.beside
+            every = lines(problem, jnp.asarray(self.theta(model)), beside.force, beside.path)
+            force, learned = estimated(problem, every, beside.force, self.fine.unit, beside.covariance)
+            now = Beside(force, beside.path, learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > LIKELIER:
                 return model if model.cost < before.cost else before

@@ -23,8 +23,6 @@ CHANCES = 3
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
 MORE, AFRESH = 5, 2
-# Suspects that either way of asking proposes in a round.
-PROPOSED = 4
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -138,8 +136,10 @@ def _windows_that_tell(bench: Workbench, model: Model, stats: Reduced, where: sl
     return 1.0 / float(np.square(share).sum())
 
 
-def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Member], dict[int, Member]]:
-    """The suspects worth refitting, the one first that would save most by the linearisation.
+def shortlist(
+    bench: Workbench, model: Model, stats: Reduced
+) -> tuple[dict[Member, float], dict[int, Member]]:
+    """The suspects with what they would save by the linearisation, the best first.
 
     And each suspect with the beginning that suits it best, whether that is worth a refit or not.
     """
@@ -155,7 +155,7 @@ def shortlist(bench: Workbench, model: Model, stats: Reduced) -> tuple[list[Memb
             begun[i] = Member(i, Beginning(int(bench.group_log[w]), float(bench.group_starts[w])))
             if row[w] > row[0] + max(BEGINS, WORTHWHILE * row[0]):
                 out.append((begun[i], float(row[w])))
-    return [member for member, _ in sorted(out, key=lambda item: -item[1])], begun
+    return dict(sorted(out, key=lambda item: -item[1])), begun
 
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
@@ -290,28 +290,35 @@ def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced,
 
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
-    """The most promising suspects, each at its likeliest beside what the model has, the best first.
-
-    What promises most is asked twice: beside the disturbance that the model has now, which is as large as all
-    that it misses, and as if there were none. A disturbance as large as that hides a cause that is always
-    there; and without one whatever goes with it seems to be its cause.
-    """
+    """The most promising suspects, each refitted beside what the model has, the best first."""
     progress(f"scoring {len(bench.layout.suspects)} suspects")
-    plain = bench.undisturbed(model)
-    if model.beside is None:
-        return _by_penalty(bench, _weighed(bench, model, stats, progress))
-    plain = bench.refine(plain)
-    without = _weighed(bench, plain, bench.screen(plain), progress) if np.isfinite(plain.cost) else []
-    starts = {}
-    for trial in _by_penalty(bench, without)[:PROPOSED]:
-        starts[trial.member] = trial.model.z[bench.slices(trial.model.members)[-1]]
-    for member in shortlist(bench, model, stats)[0][:PROPOSED]:
-        starts.setdefault(member, np.zeros(bench.layout.columns[member.suspect].shape[1]))
+    weighed = _weighed if model.beside is None else _likelier
+    return _by_penalty(bench, weighed(bench, model, stats, progress))
+
+
+def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:
+    """Suspects that make the logs likelier beside a disturbance, which is estimated anew beside the best.
+
+    A disturbance as large as all that the model misses is what a suspect has to do better than, so that the
+    linearisation says the least that it saves: where it does not pay for its parameters no refit is needed.
+    """
+    ranked, _ = shortlist(bench, model, stats)
+    paying = [member for member, saved in ranked.items() if evidence(bench, member, saved, 1.0) > 0]
+    always = [member for member in paying if member.since is None][:SHORTLIST]
+    late = [member for member in paying if member.since is not None][:SHORTLIST_BEGUN]
+    starts = [(one, np.zeros(bench.layout.columns[one.suspect].shape[1])) for one in (*always, *late)]
+    starts += probes(bench, model, max(ranked.values(), default=0.0))
     progress("refitting the best suspects")
-    begun = [bench.with_member(model, member, value) for member, value in starts.items()]
-    refitted = bench.refine_each(begun, STEPS, ROUGH, 2)
-    trials = [trial_of(model, member, one) for member, one in zip(starts, refitted, strict=True)]
-    return _by_penalty(bench, [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)])
+    begun = [bench.with_member(model, member, value) for member, value in starts]
+    rough = bench.refine_each(begun, FEW_STEPS, ROUGH)
+    trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
+    trials = [t for t in trials if np.isfinite(t.saved)]
+    best = max([t.saved for t in trials], default=0.0)
+    hopeful = [t for t in trials if t.saved > HOPEFUL * best]
+    refitted = bench.refine_each([t.model for t in hopeful], STEPS, ROUGH, 1)
+    trials = [t for t in trials if t not in hopeful]
+    trials += [trial_of(model, t.member, one) for t, one in zip(hopeful, refitted, strict=True)]
+    return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
 def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:
@@ -338,9 +345,23 @@ def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress =
 
     Free, the file's coefficients bend to what a cause does, and leave it nothing to explain.
     """
+    if model.beside is not None and not _bent(bench, model):
+        return []
     held = bench.likeliest(bench.frozen(bench.as_filed(model)))
     bent = 2 * (held.cost - model.cost) > BENT * phi
     return weigh(bench, held, bench.screen(held), progress) if bent and np.isfinite(held.cost) else []
+
+
+def _bent(bench: Workbench, model: Model) -> bool:
+    """Whether a file that may bend within its prior makes the logs likelier than one that holds."""
+    stats, base = bench.screen(model), slice(0, len(bench.base))
+    known, precision, z = bench.known(model)
+    h = (known.T @ stats.h.sum(0) @ known)[base, base]
+    # Integrated over the prior: what it could have been and is not counts against it.
+    shares = h / np.sqrt(np.outer(precision[base], precision[base]))
+    width = np.linalg.slogdet(np.eye(len(h)) + shares)[1]
+    lost = putting_back(bench, model, stats, base).sum() - precision[base] @ z[base] ** 2
+    return bool(lost > width)
 
 
 def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:

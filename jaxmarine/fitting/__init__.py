@@ -22,6 +22,8 @@ from ._check import (
     sparkline as sparkline,
 )
 from ._feedback import answers as answers
+from ._filter import MEMORY as MEMORY
+from ._filter import SIZE as SIZE
 from ._filter import Disturbance as Disturbance
 from ._filter import Likelihood as Likelihood
 from ._filter import Path as Path

@@ -35,17 +35,12 @@ from ._rollout import LOOSE, TIGHT, Problem
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
-# Memories that are usual of wind, waves and water [s]: the median, and the standard deviation of the
-# logarithm. A log that tells more has its own way within a few standard deviations.
-USUAL, SPREAD = 4.0, 1.0
-# Memories that are looked at [s]: from less than a sample, which is as good as none, to some tens of windows.
-BRIEFEST, LONGEST = 0.1, 200.0
-# Sizes that are looked at, as shares of the full thrust: below the least nothing is seen of it, above the
-# most no craft could be steered.
-LEAST, MOST = 1e-6, 2.0
-# Steps of the search for sizes and memories, and the share of the likelihood's logarithm, of some ten
-# thousand samples, that is not worth one.
-STEPS, ENOUGH = 40, 1e-6
+# What is usual of wind, waves and water: the median, and the standard deviation of the logarithm, of a memory
+# [s] and of a size [full thrust]. A log that tells more has its own way within a few standard deviations.
+MEMORY, SIZE, SPREAD = 4.0, 0.02, (1.0, 3.0)
+# Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
+# likelihood that is not worth one.
+STEPS, ENOUGH = 40, 0.1
 # Windows that are filtered side by side where only their likelihood is asked for.
 TOGETHER = 20
 
@@ -374,7 +369,8 @@ def _improbability(
 
     def of(logarithms):
         new, time = jnp.exp(logarithms)
-        now = dataclasses.replace(force, size=new * jnp.sqrt(time) * unit, time=time)
+        size = new * jnp.sqrt(time)
+        now = dataclasses.replace(force, size=size * unit, time=time)
         count = len(every.start)
         parts = jax.tree.map(lambda a: in_parts(a, TOGETHER), every.line)
         passed = jax.lax.map(lambda part: jax.vmap(lambda line: filtered(line, now))(part), parts)
@@ -388,37 +384,45 @@ def _improbability(
 
         windows = eqx.tree_at(lambda w: w.carry, every, now.carry)
         _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (windows, passed))
-        return minus_twice.sum() + ((jnp.log(time / USUAL) / SPREAD) ** 2).sum()
+        usual = (jnp.log(time / MEMORY) / SPREAD[0]) ** 2 + (jnp.log(size / SIZE) / SPREAD[1]) ** 2
+        return minus_twice.sum() + usual.sum()
 
     return jax.value_and_grad(of)(logarithms)
 
 
 def estimated(
-    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
-) -> Disturbance:
-    """The disturbance whose sizes and memories make the samples most likely, with a weak prior on the latter.
+    problem: Problem,
+    every: Windowed,
+    force: Disturbance,
+    unit: Float[np.ndarray, " axes"],
+    covariance: Float[np.ndarray, "logarithms logarithms"],
+) -> tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"]]:
+    """The disturbance whose sizes and memories make the samples most likely, with a weak prior on both.
 
     - `force`: where the search begins; `unit`: the full thrust [N, N m] of each axis, or what stands for it.
+    - `covariance`: of the logarithms by the curvature, first of how much is new on each axis, then of the
+      memories: as far as it is known, and returned as the search has learned it. One that begins with that of
+      a similar model takes few steps.
     """
-    axes, spread = len(force.axes), _spread(problem)
+    spread = _spread(problem)
+    time = np.asarray(force.time)
+    begin = np.log(np.concatenate([np.asarray(force.size) / unit / np.sqrt(time), time]))
+    # In these coordinates the likelihood curves alike in all directions.
+    root = np.linalg.cholesky(covariance)
 
-    def of(logarithms):
-        now = jnp.asarray(logarithms.reshape(2, -1)), jnp.asarray(unit)
-        value, slope = _improbability(*now, every, spread, force)
-        value, slope = float(value), np.asarray(slope).ravel()
+    def of(whitened):
+        logarithms = (begin + root @ whitened).reshape(2, -1)
+        value, slope = _improbability(jnp.asarray(logarithms), jnp.asarray(unit), every, spread, force)
+        value, slope = float(value), root.T @ np.asarray(slope).ravel()
         # Where the path has run away there is nothing to be found.
         return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (1e300, 0 * slope)
 
-    low, high = np.log([LEAST] * axes + [BRIEFEST] * axes), np.log([MOST] * axes + [LONGEST] * axes)
-    time = np.asarray(force.time)
-    begin = np.log(np.concatenate([np.maximum(np.asarray(force.size) / unit, LEAST) / np.sqrt(time), time]))
-    bounds = list(zip(low, high, strict=True))
-    how = {"maxiter": STEPS, "ftol": ENOUGH}
-    best = optimize.minimize(
-        of, np.clip(begin, low, high), jac=True, method="L-BFGS-B", bounds=bounds, options=how
-    )
-    new, time = np.exp(best.x.reshape(2, -1))
-    return dataclasses.replace(force, size=jnp.asarray(new * np.sqrt(time) * unit), time=jnp.asarray(time))
+    # Half the slope's square is what a step is worth.
+    how = {"maxiter": STEPS, "gtol": np.sqrt(2 * ENOUGH), "norm": 2}
+    best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", options=how)
+    new, time = np.exp(begin + root @ best.x).reshape(2, -1)
+    found = dataclasses.replace(force, size=jnp.asarray(new * np.sqrt(time) * unit), time=jnp.asarray(time))
+    return found, root @ best.hess_inv @ root.T
 
 
 class Likelihood(eqx.Module):
