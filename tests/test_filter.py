@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
@@ -22,7 +23,7 @@ STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
 SPREAD = np.full(12, 0.7)
 
 
-def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturbance]:
+def windows_of(joined: list[bool], gap: list[float], swells: bool = False) -> tuple[Windowed, Disturbance]:
     """Some random windows: linear systems with states of 13 numbers that change in 12 ways."""
     count, rng = len(joined), np.random.default_rng(3)
 
@@ -30,8 +31,9 @@ def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturba
         return jnp.asarray(scale * rng.normal(size=(count, *shape)))
 
     force = Disturbance(
-        size=jnp.array([0.8, 1.7]),
-        time=jnp.array([0.9, 3.0]),
+        size=jnp.array([0.8, 1.7, 1.1, 0.6] if swells else [0.8, 1.7]),
+        time=jnp.array([0.9, 3.0, 2.0, 2.0] if swells else [0.9, 3.0]),
+        frequency=jnp.array([0.0, 0.0, 1.3, 1.3] if swells else [0.0, 0.0]),
         gap=jnp.asarray(gap),
         joined=jnp.asarray(joined),
         axes=(0, 5),
@@ -48,7 +50,7 @@ def windows_of(joined: list[bool], gap: list[float]) -> tuple[Windowed, Disturba
         start=normal(13),
         end=normal(13, COLUMNS),
         delta=normal(12),
-        carry=force.carry,
+        gap=force.gap,
         joined=force.joined,
     ), force
 
@@ -65,15 +67,33 @@ def joined_up(every: Windowed, force: Disturbance):
     return np.asarray(information), float(log_det)
 
 
+def left(force: Disturbance, dt: float) -> np.ndarray:
+    """From the disturbance's states to those some time later: decay, and turns of the swell's pairs."""
+    blocks = [np.atleast_2d(np.exp(-dt / t)) for t in np.asarray(force.time)[:AXES]]
+    for time, frequency in zip(
+        np.asarray(force.time)[AXES:], np.asarray(force.frequency)[AXES:], strict=True
+    ):
+        blocks.append(expm(dt * np.array([[-1 / time, -frequency], [frequency, -1 / time]])))
+    return block_diag(*blocks)
+
+
 def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
     """All residuals with the derivatives of what they should be, and their covariance.
 
-    State and wrench are written out as sums of what is new: a start's changes, and the wrench's pushes.
+    State and disturbance are written out as sums of what is new: a start's changes, and its pushes.
     """
-    size, time = np.asarray(force.size), np.asarray(force.time)
-    count, news = len(every.start), len(every.start) * (12 + AXES * (STEPS + 1))
+    size = np.asarray(force.size)
+    states = np.concatenate([np.arange(AXES), np.repeat(np.arange(AXES, len(size)), 2)])
+    output = np.concatenate([np.eye(AXES), np.kron(np.eye(AXES), [[1, 0]])], axis=1)[:, : len(states)]
+
+    def new(stays: np.ndarray) -> np.ndarray:
+        """The root of what is new where so much stays: sizes stay as they are."""
+        own = np.diag(size[states] ** 2)
+        return np.linalg.cholesky(own - stays @ own @ stays.T + 1e-300 * np.eye(len(own)))
+
+    count, news = len(every.start), len(every.start) * (12 + len(states) * (STEPS + 1))
     at, rows, seen = 0, [], []
-    state, wrench = np.zeros((13, news)), np.zeros((AXES, news))
+    state, wrench = np.zeros((13, news)), np.zeros((len(states), news))
     known, before = np.zeros((13, COLUMNS)), np.zeros((13, COLUMNS))
     for w in range(count):
         window = jax.tree.map(lambda a, w=w: np.asarray(a[w]), every)
@@ -87,23 +107,24 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
             changes, sure = np.zeros((12, news)), np.zeros((12, COLUMNS))
             changes[:, at : at + 12], sure[:, -1] = np.diag(SPREAD), window.delta
         state, known, at = window.line.begin @ changes, window.line.begin @ sure, at + 12
-        carry = np.exp(-np.asarray(force.gap)[w] / time)
-        wrench = carry[:, None] * wrench
-        wrench[:, at : at + AXES] += np.diag(size * np.sqrt(1 - carry**2))
-        at += AXES
+        stays = left(force, float(np.asarray(force.gap)[w]))
+        wrench = stays @ wrench
+        wrench[:, at : at + len(states)] += new(stays)
+        at += len(states)
         for k in range(STEPS):
-            h, f, keep = window.line.h[k], window.line.f[k], np.exp(-window.line.dt[k] / time)
-            rows.append(h @ np.concatenate([state, wrench]))
+            h, f, stays = window.line.h[k], window.line.f[k], left(force, float(window.line.dt[k]))
+            rows.append(h @ np.concatenate([state, output @ wrench]))
             seen.append(window.line.residual[k] - h[:, :13] @ known)
-            state, known = f @ np.concatenate([state, wrench]), f[:, :13] @ known
-            wrench = keep[:, None] * wrench
-            wrench[:, at : at + AXES] += np.diag(size * np.sqrt(1 - keep**2))
-            at += AXES
+            state, known = f @ np.concatenate([state, output @ wrench]), f[:, :13] @ known
+            wrench = stays @ wrench
+            wrench[:, at : at + len(states)] += new(stays)
+            at += len(states)
         before = window.end
     b = np.concatenate(rows)
     return np.concatenate(seen), b @ b.T + np.eye(len(b))
 
 
+@pytest.mark.parametrize("swells", [False, True])
 @pytest.mark.parametrize(
     ("joined", "gap"),
     [
@@ -113,9 +134,9 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         ([False, False, True], [1e6, 1e6, 0.0]),
     ],
 )
-def test_the_filter_is_the_dense_gaussian(joined, gap):
+def test_the_filter_is_the_dense_gaussian(joined, gap, swells):
     """Windows that go on, begin anew, follow after a gap, and belong to another log."""
-    every, force = windows_of(joined, gap)
+    every, force = windows_of(joined, gap, swells)
     information, log_det = joined_up(every, force)
     seen, covariance = dense(every, force)
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
@@ -128,7 +149,7 @@ def test_the_filter_is_the_dense_gaussian(joined, gap):
 def test_a_disturbance_of_no_size_is_none():
     """What is left is white noise and a free start."""
     every, force = windows_of([False, True], [1e6, 0.0])
-    still = Disturbance(jnp.zeros(AXES), force.time, force.gap, force.joined, force.axes)
+    still = dataclasses.replace(force, size=jnp.zeros(AXES))
     information, _ = joined_up(every, still)
     seen, covariance = dense(every, still)
     assert np.linalg.matrix_rank(covariance - np.eye(len(covariance)), tol=1e-9) <= 12

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..fitting import MEMORY, SIZE, Cut, Disturbance, Path, Problem, Room, split
+from ..fitting import USUAL_MEMORY, USUAL_SIZE, Cut, Disturbance, Path, Problem, Room, split
 from ..vehicle import Vehicle
 from ._plausible import full_thrust
 
@@ -74,8 +74,9 @@ class Fine:
         groups = np.full(most, others)
         groups[:count] = np.repeat(group[: data.windows.count], parts)
         begin = Disturbance(
-            size=jnp.asarray(SIZE * unit),
-            time=jnp.full(len(axes), MEMORY),
+            size=jnp.asarray(USUAL_SIZE.median * unit),
+            time=jnp.full(len(axes), USUAL_MEMORY.median),
+            frequency=jnp.zeros(len(axes)),
             gap=jnp.asarray(gap),
             joined=jnp.asarray(joined),
             axes=tuple(axes.tolist()),

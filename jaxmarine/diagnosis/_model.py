@@ -18,6 +18,7 @@ from .._types import DOFS
 from ..effects import AbstractEffect, AddedMass, QuadraticDamping
 from ..fitting import (
     LEAST_DAMPING,
+    USUAL_MEMORY,
     Affine,
     Check,
     Cut,
@@ -44,6 +45,7 @@ from ..fitting import (
     screening,
     segments,
     start_precision,
+    with_swell,
     wrapped,
 )
 from ..logs import Log
@@ -417,6 +419,15 @@ class Workbench:
         learned = UNLEARNED * np.eye(2 * len(fine.unit))
         return dataclasses.replace(model, beside=Beside(fine.begin, fine.path, learned), cost=np.inf)
 
+    def hurried(self, model: Model) -> Model:
+        """The model beside a disturbance that forgets no slower than is usual, and changes as it did."""
+        assert model.beside is not None
+        force = model.beside.force
+        slow = (force.frequency == 0) & (force.time > USUAL_MEMORY.median)
+        time = jnp.where(slow, USUAL_MEMORY.median, force.time)
+        quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
+        return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))
+
     def likeliest(
         self, model: Model, max_steps: int = 25, rtol: float = EXACT, times: int = ESTIMATES
     ) -> Model:
@@ -431,7 +442,7 @@ class Workbench:
             problem = self.problem(model.members, self.fine.problem)
             beside = model.beside
             every = lines(problem, jnp.asarray(self.theta(model)), beside.force, beside.path)
-            force, learned = estimated(problem, every, beside.force, self.fine.unit, beside.covariance)
+            force, learned, _ = estimated(problem, every, beside.force, self.fine.unit, beside.covariance)
             now = Beside(force, beside.path, learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > LIKELIER:
@@ -470,9 +481,23 @@ class Workbench:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return [*first, *pool.map(refined, models[1:])]
 
+    def swelling(self, model: Model) -> Model:
+        """The model beside a swell too, where the logs are likelier so; its disturbance is estimated."""
+        assert model.beside is not None
+        problem, beside = self.problem(model.members, self.fine.problem), model.beside
+        every = lines(problem, jnp.asarray(self.theta(model)), beside.force, beside.path)
+        swell = None if beside.force.swells else with_swell(problem, every, beside.force, self.fine.unit)
+        if swell is None:
+            return model
+        unlearned = UNLEARNED * np.eye(3 * len(self.fine.unit) + 2)
+        out = self.likeliest(dataclasses.replace(model, beside=Beside(swell, beside.path, unlearned)))
+        return out if out.cost < model.cost else model
+
     def fitted(self, model: Model) -> Model:
         """The model refined; raises `InputError` where the vehicle runs away along the logs."""
         out = self.likeliest(model)
+        if model.beside is not None and np.isfinite(out.cost):
+            out = self.swelling(out)
         if not np.isfinite(out.cost):
             raise runaway(self.data.logs[0].name, self.vehicle.name)
         return out

@@ -23,6 +23,8 @@ CHANCES = 3
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
 MORE, AFRESH = 5, 2
+# Suspects refitted for what they would save beside a disturbance that is no slower than usual.
+HIDDEN = 3
 # Share of the best saving that makes a suspect a candidate where the best fails.
 NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
@@ -191,8 +193,7 @@ def _trials(
     """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
     begun = []
     for member, value in starts:
-        value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
-        begun.append(bench.with_member(model, member, value))
+        begun.append(bench.with_member(model, member, _neutral(bench, member) if value is None else value))
 
     refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
@@ -301,13 +302,16 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
 
     A disturbance as large as all that the model misses is what a suspect has to do better than, so that the
     linearisation says the least that it saves: where it does not pay for its parameters no refit is needed.
+    But one that is slow hides what acts for long: that shows beside one that is no slower than usual.
     """
     ranked, _ = shortlist(bench, model, stats)
-    paying = [member for member, saved in ranked.items() if evidence(bench, member, saved, 1.0) > 0]
-    always = [member for member in paying if member.since is None][:SHORTLIST]
-    late = [member for member in paying if member.since is not None][:SHORTLIST_BEGUN]
-    starts = [(one, np.zeros(bench.layout.columns[one.suspect].shape[1])) for one in (*always, *late)]
+    paying = _paying(bench, ranked)
+    always = [one for one in paying if one.since is None][:SHORTLIST]
+    late = [one for one in paying if one.since is not None][:SHORTLIST_BEGUN]
+    starts = [(one, _neutral(bench, one)) for one in (*always, *late)]
     starts += probes(bench, model, max(ranked.values(), default=0.0))
+    quick = bench.hurried(model)
+    hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
     begun = [bench.with_member(model, member, value) for member, value in starts]
     rough = bench.refine_each(begun, FEW_STEPS, ROUGH)
@@ -315,10 +319,23 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     trials = [t for t in trials if np.isfinite(t.saved)]
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
-    refitted = bench.refine_each([t.model for t in hopeful], STEPS, ROUGH, 1)
-    trials = [t for t in trials if t not in hopeful]
-    trials += [trial_of(model, t.member, one) for t, one in zip(hopeful, refitted, strict=True)]
+    rest = [t for t in trials if t.saved <= HOPEFUL * best]
+    members = [*(t.member for t in hopeful), *hidden]
+    begun = [t.model for t in hopeful] + [
+        bench.with_member(quick, one, _neutral(bench, one)) for one in hidden
+    ]
+    refitted = bench.refine_each(begun, STEPS, ROUGH, 1)
+    trials = rest + [trial_of(model, member, one) for member, one in zip(members, refitted, strict=True)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def _paying(bench: Workbench, ranked: dict[Member, float]) -> list[Member]:
+    """Suspects that save more than their parameters and their beginning cost."""
+    return [member for member, saved in ranked.items() if evidence(bench, member, saved, 1.0) > 0]
+
+
+def _neutral(bench: Workbench, member: Member) -> np.ndarray:
+    return np.zeros(bench.layout.columns[member.suspect].shape[1])
 
 
 def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:

@@ -130,9 +130,7 @@ class Unnamed:
     @functools.cached_property
     def judged(self) -> Judged:
         start = self.start
-        return judged(
-            self.bench, self.bench.likeliest(self.bench.disturbed(start)) if self.feedback else start
-        )
+        return judged(self.bench, self.bench.fitted(self.bench.disturbed(start)) if self.feedback else start)
 
     @functools.cached_property
     def dependences(self) -> tuple[Dependence, ...]:

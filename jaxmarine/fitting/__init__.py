@@ -22,8 +22,8 @@ from ._check import (
     sparkline as sparkline,
 )
 from ._feedback import answers as answers
-from ._filter import MEMORY as MEMORY
-from ._filter import SIZE as SIZE
+from ._filter import USUAL_MEMORY as USUAL_MEMORY
+from ._filter import USUAL_SIZE as USUAL_SIZE
 from ._filter import Disturbance as Disturbance
 from ._filter import Likelihood as Likelihood
 from ._filter import Path as Path
@@ -32,6 +32,7 @@ from ._filter import free_wrench as free_wrench
 from ._filter import innovations as innovations
 from ._filter import lines as lines
 from ._filter import maximise as maximise
+from ._filter import with_swell as with_swell
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit

@@ -5,6 +5,10 @@ a Gauss-Markov wrench acts:
 
     d' = -d / time + w,    standard deviation `size`
 
+and, where a swell is asked for, one that also turns with a frequency: the first component of a pair
+
+    p' = -p / time + [[0, -frequency], [frequency, 0]] p + w,    standard deviation `size` of each.
+
 A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
 state and this wrench as its own. What it does to the residuals it does to their derivatives too, so that
 their sums are those of white noise: minus twice the logarithm of the likelihood is the chi-square of the
@@ -18,6 +22,7 @@ Source: after Ljung, System Identification, on prediction errors, and Anderson a
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,9 +40,8 @@ from ._rollout import LOOSE, TIGHT, Problem
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
-# What is usual of wind, waves and water: the median, and the standard deviation of the logarithm, of a memory
-# [s] and of a size [full thrust]. A log that tells more has its own way within a few standard deviations.
-MEMORY, SIZE, SPREAD = 4.0, 0.02, (1.0, 3.0)
+# Periods of a swell from which its own is looked for [s], and what it leaves of a wrench's size meanwhile.
+PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
@@ -45,25 +49,79 @@ STEPS, ENOUGH = 40, 0.1
 TOGETHER = 20
 
 
-class Disturbance(eqx.Module):
-    """A Gauss-Markov wrench on the hull.
+class Usual(NamedTuple):
+    """What is usual of a number: its median, and the standard deviation of its logarithm.
 
-    - `size`: standard deviation [N, N m]; `time`: in which it forgets all but 1/e [s].
+    Weak: a log that tells more has its own way within a few standard deviations.
+    """
+
+    median: float
+    spread: float
+
+    def unusual(self, value: Array) -> Array:
+        """Minus twice the logarithm of the density of the number's logarithm, but for a constant."""
+        return (jnp.log(value / self.median) / self.spread) ** 2
+
+
+# Of wind, waves and water: sizes [full thrust] and memories [s]; of a swell how long it stays in step with
+# itself [s], and the frequency [rad/s] of one with a period of 5 s.
+USUAL_SIZE, USUAL_MEMORY = Usual(0.02, 3.0), Usual(4.0, 1.0)
+SWELL_MEMORY, SWELL_FREQUENCY = Usual(10.0, 1.0), Usual(2 * np.pi / 5, 0.7)
+
+
+class Disturbance(eqx.Module):
+    """A Gauss-Markov wrench on the hull, and a swell.
+
+    - `size`: standard deviation [N, N m]; `time`: in which it forgets all but 1/e [s]; `frequency` [rad/s], 0
+      of what does not swing. First of the wrench on each axis, then of the swell, if there is one.
     - `gap`: from the end of the last hold of the window before to the first sample of each window [s], many
       memories where a log begins; `joined`: whether a window goes on in the state of the one before.
     - `axes`: those on which it acts.
     """
 
-    size: Float[Array, " axes"]
-    time: Float[Array, " axes"]
+    size: Float[Array, " parts"]
+    time: Float[Array, " parts"]
+    frequency: Float[Array, " parts"]
     gap: Float[Array, " windows"]
     joined: Bool[Array, " windows"]
     axes: tuple[int, ...] = eqx.field(static=True)
 
     @property
-    def carry(self) -> Float[Array, "windows axes"]:
-        """Share that the wrench has, where a window begins, of what it was where the last one ended."""
-        return jnp.exp(-self.gap[:, None] / self.time[None])
+    def swells(self) -> bool:
+        return len(self.size) > len(self.axes)
+
+    @property
+    def states(self) -> int:
+        return len(self.axes) * (3 if self.swells else 1)
+
+    @property
+    def output(self) -> Float[Array, "axes states"]:
+        """From its states to the wrench on its axes."""
+        own = jnp.eye(len(self.axes))
+        return jnp.concatenate([own, jnp.kron(own, jnp.array([[1.0, 0.0]]))], axis=1) if self.swells else own
+
+    def _of_states(self, of_parts: Float[Array, " parts"]) -> Float[Array, " states"]:
+        count = len(self.axes)
+        return jnp.concatenate([of_parts[:count], jnp.repeat(of_parts[count:], 2)])
+
+    def after(self, dt: Float[Array, ""], states: Float[Array, "states columns"]):
+        """What is left of its states [states, columns] after some time [s]."""
+        left = jnp.exp(-dt / self._of_states(self.time))[:, None] * states
+        if not self.swells:
+            return left
+        count = len(self.axes)
+        angle = (self.frequency[count:] * dt)[:, None]
+        here, there = left[count::2], left[count + 1 :: 2]
+        turned = (
+            jnp.cos(angle) * here - jnp.sin(angle) * there,
+            jnp.sin(angle) * here + jnp.cos(angle) * there,
+        )
+        pairs = jnp.stack(turned, axis=1).reshape(2 * count, -1)
+        return jnp.concatenate([left[:count], pairs])
+
+    def new(self, dt: Float[Array, ""]) -> Float[Array, " states"]:
+        """Variance of what is new in its states after some time [s]."""
+        return self._of_states(self.size) ** 2 * -jnp.expm1(-2 * dt / self._of_states(self.time))
 
 
 class Path(eqx.Module):
@@ -77,7 +135,7 @@ class Path(eqx.Module):
 
 
 class Line(eqx.Module):
-    """A window as a linear system: states and wrench from sample to sample, and what is measured of them.
+    """A window as a linear system: states from sample to sample, and what is measured, by state and wrench.
 
     - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
     - `begin`: derivative of the first state by the twelve changes of the initial state.
@@ -93,27 +151,27 @@ class Line(eqx.Module):
 class Passed(eqx.Module):
     """A window filtered, given the state and the wrench with which it begins.
 
-    Columns: what is asked for, twelve changes of the first state, the first wrench, and 1.
+    Columns: what is asked for, twelve changes of the first state, the disturbance's first states, and 1.
 
     - `information`: of the whitened residuals by the columns; `log_det` of their covariance.
-    - `last`: by the columns, how far state and wrench after its last hold are below those of the path without
-      a wrench; `covariance` of these.
+    - `last`: by the columns, how far state and disturbance after its last hold are below those of the path
+      without a disturbance; `covariance` of these.
     """
 
     information: Float[Array, "columns columns"]
     log_det: Float[Array, ""]
-    last: Float[Array, "13+axes columns"]
-    covariance: Float[Array, "13+axes 13+axes"]
+    last: Float[Array, "13+states columns"]
+    covariance: Float[Array, "13+states 13+states"]
 
 
 class Message(eqx.Module):
-    """What is known of state and wrench where a window ends, by the columns that stay.
+    """What is known of state and disturbance where a window ends, by the columns that stay.
 
-    - `mean`: how far these are below those of the path without a wrench, which ends at `end`; `covariance`.
+    - `mean`: how far these are below those of the path without one, which ends at `end`; `covariance`.
     """
 
-    mean: Float[Array, "13+axes columns"]
-    covariance: Float[Array, "13+axes 13+axes"]
+    mean: Float[Array, "13+states columns"]
+    covariance: Float[Array, "13+states 13+states"]
     end: Float[Array, "13 columns"]
 
 
@@ -138,13 +196,14 @@ def line_of(rows: Rows, z: int, wrench: Float[Array, " axes"], force: Disturbanc
 
 
 def filtered(line: Line, force: Disturbance) -> Passed:
-    """A window filtered, given the state and the wrench with which it begins."""
-    axes, given = len(force.axes), line.residual.shape[-1] - 1
-    first = 12 + axes
-    mean = jnp.zeros((13 + axes, given + first + 1))
+    """A window filtered, given the state and the disturbance with which it begins."""
+    states, given = force.states, line.residual.shape[-1] - 1
+    first = 12 + states
+    mean = jnp.zeros((13 + states, given + first + 1))
     mean = mean.at[:13, given : given + 12].set(line.begin)
-    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(axes))
+    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(states))
     nothing = jnp.zeros((line.h.shape[1], first))
+    by_states = jax.scipy.linalg.block_diag(jnp.eye(13), force.output)
 
     @jax.checkpoint
     def step(carry, now):
@@ -164,22 +223,25 @@ def filtered(line: Line, force: Disturbance) -> Passed:
 
         # One sensor after another, whose noises are independent: no factorisation for a few numbers.
         (mean, covariance, log_det), white = jax.lax.scan(sensor, (mean, covariance, log_det), (h, residual))
-        keep = jnp.exp(-dt / force.time)
-        mean = jnp.concatenate([f @ mean, keep[:, None] * mean[13:]])
-        half = jnp.concatenate([f @ covariance, keep[:, None] * covariance[13:]])
-        covariance = jnp.concatenate([half @ f.T, half[:, 13:] * keep[None]], axis=1)
-        new = force.size**2 * (1.0 - keep**2)
-        covariance = covariance.at[13:, 13:].add(jnp.diag(new))
+        mean = jnp.concatenate([f @ mean, force.after(dt, mean[13:])])
+        half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
+        covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
+        covariance = covariance.at[13:, 13:].add(jnp.diag(force.new(dt)))
         return (mean, 0.5 * (covariance + covariance.T), log_det), white
 
-    begin = mean, jnp.zeros((13 + axes, 13 + axes)), jnp.zeros(())
-    (mean, covariance, log_det), white = jax.lax.scan(step, begin, (line.f, line.h, line.residual, line.dt))
+    begin = mean, jnp.zeros((13 + states, 13 + states)), jnp.zeros(())
+    (mean, covariance, log_det), white = jax.lax.scan(
+        step, begin, (line.f @ by_states, line.h @ by_states, line.residual, line.dt)
+    )
     white = white.reshape(-1, mean.shape[1])
     return Passed(white.T @ white, log_det, mean, covariance)
 
 
 def _passed_on(
-    passed: Passed, mean: Float[Array, "12+axes columns"], covariance: Float[Array, "12+axes 12+axes"], end
+    passed: Passed,
+    mean: Float[Array, "12+states columns"],
+    covariance: Float[Array, "12+states 12+states"],
+    end: Float[Array, "13 columns"],
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
     """The information and the determinant of a window that begins so, and what it tells the next."""
     first = len(covariance)
@@ -189,7 +251,7 @@ def _passed_on(
     # As if it began with the mean, which goes with the columns that stay: mean (z, 1), and something new.
     onto = jnp.zeros((given + first + 1, given + 1)).at[rest].set(jnp.eye(given + 1)).at[e].set(mean)
     slope = passed.information[e] @ onto
-    # Regular where a wrench has no size.
+    # Regular where a disturbance has no size.
     whole = jnp.eye(first) + passed.information[np.ix_(e, e)] @ covariance
     gain = covariance @ jnp.linalg.inv(whole)
     gain = 0.5 * (gain + gain.T)
@@ -204,7 +266,7 @@ def _passed_on(
 
 
 def _nothing_known(force: Disturbance, columns: int) -> Message:
-    state = 13 + len(force.axes)
+    state = 13 + force.states
     return Message(jnp.zeros((state, columns)), jnp.zeros((state, state)), jnp.zeros((13, columns)))
 
 
@@ -242,7 +304,7 @@ class Windowed(eqx.Module):
     start: Float[Array, "13"]
     end: Float[Array, "13 columns"]
     delta: Float[Array, "12"]
-    carry: Float[Array, " axes"]
+    gap: Float[Array, ""]
     joined: Bool[Array, ""]
 
     @classmethod
@@ -260,7 +322,7 @@ class Windowed(eqx.Module):
                 axis=1,
             ),
             delta=path.delta[index],
-            carry=force.carry[index],
+            gap=force.gap[index],
             joined=force.joined[index],
         )
 
@@ -273,13 +335,13 @@ class Windowed(eqx.Module):
 
     def begun(
         self, message: Message, force: Disturbance, spread: Float[Array, "12"]
-    ) -> tuple[Float[Array, "12+axes columns"], Float[Array, "12+axes 12+axes"]]:
-        """Mean and covariance of the twelve changes of its first state, and of its first wrench."""
-        carried = jnp.zeros((12 + len(force.axes), 13 + len(force.axes)))
+    ) -> tuple[Float[Array, "12+states columns"], Float[Array, "12+states 12+states"]]:
+        """Mean and covariance of the twelve changes of its first state, and of the disturbance's first."""
+        carried = jnp.zeros((12 + force.states, 13 + force.states))
         carried = carried.at[:12, :13].set(jnp.where(self.joined, jnp.linalg.pinv(self.line.begin), 0.0))
-        carried = carried.at[12:, 13:].set(jnp.diag(self.carry))
+        carried = carried.at[12:, 13:].set(force.after(self.gap, jnp.eye(force.states)))
         free = jnp.zeros((12, message.end.shape[1])).at[:, -1].set(self.delta)
-        new = jnp.where(self.joined, 0.0, spread**2), force.size**2 * (1.0 - self.carry**2)
+        new = jnp.where(self.joined, 0.0, spread**2), force.new(self.gap)
         mean = (carried @ message.mean).at[:12].add(jnp.where(self.joined, self.ahead(message), free))
         return mean, carried @ message.covariance @ carried.T + jnp.diag(jnp.concatenate(new))
 
@@ -308,7 +370,7 @@ def innovations(
     """
     given, spread = affine.acts.shape[-1], _spread(problem)
     dt = problem.records.dt[problem.windows.log[:, None], problem.windows.step]
-    half = jnp.exp(-0.5 * dt.sum(axis=1)[:, None] / force.time[None])
+    half = 0.5 * dt.sum(axis=1)
     follows = force.gap < 0.5 * dt[:, 0]
 
     def of_rows(rows, index):
@@ -324,7 +386,7 @@ def innovations(
     def each(carry, now):
         total, message = carry
         window, passed, group, half, follows = now
-        expected = -half * window.carry * message.mean[13:, -1]
+        expected = -force.output @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
         # As the one before lets one expect it, if this window follows it at once.
         known = jnp.linalg.pinv(window.line.begin) @ message.mean[:13, -1]
         delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
@@ -357,20 +419,49 @@ def lines(
     return swept(pushed(problem, force, path), nothing, path.delta, 1, of_rows, each, None)[1]
 
 
-@compiled
-def _improbability(
-    logarithms: Float[Array, "2 axes"], unit: Array, every: Windowed, spread: Array, force: Disturbance
-):
-    """-2 log p(samples, sizes, memories) but for a constant, and its slope.
+@dataclasses.dataclass(frozen=True)
+class Logarithms:
+    """Sizes, memories and frequency of a disturbance as free numbers without units.
 
-    - `logarithms`: of how much is new per root of a second [full thrust], which logs tell best, and of the
-      memory [s].
+    In order: how much is new per root of a second on each axis [full thrust], which logs tell best, and its
+    memory [s]; then of a swell its size on each axis [full thrust], and for all axes its memory [s] and its
+    frequency [rad/s].
     """
 
+    axes: int
+
+    def of(self, force: Disturbance, unit: np.ndarray) -> Float[np.ndarray, " logarithms"]:
+        n, size = self.axes, np.asarray(force.size) / np.tile(unit, len(force.size) // self.axes)
+        time, frequency = np.asarray(force.time), np.asarray(force.frequency)
+        swell = [size[n:], time[n : n + 1], frequency[n : n + 1]] if force.swells else []
+        return np.log(np.concatenate([size[:n] / np.sqrt(time[:n]), time[:n], *swell]))
+
+    def set(self, force: Disturbance, unit: Array, values: Float[Array, " logarithms"]) -> Disturbance:
+        n, values = self.axes, jnp.exp(values)
+        size, time, frequency = values[:n] * jnp.sqrt(values[n : 2 * n]), values[n : 2 * n], jnp.zeros(n)
+        if force.swells:
+            size = jnp.concatenate([size, values[2 * n : 3 * n]])
+            time = jnp.concatenate([time, jnp.full(n, values[-2])])
+            frequency = jnp.concatenate([frequency, jnp.full(n, values[-1])])
+        size = size * jnp.tile(unit, len(size) // n)
+        return dataclasses.replace(force, size=size, time=time, frequency=frequency)
+
+    def unusual(self, force: Disturbance, unit: Array) -> Float[Array, ""]:
+        """Minus twice the logarithm of the prior's density."""
+        n, size = self.axes, force.size / jnp.tile(unit, len(force.size) // self.axes)
+        out = USUAL_SIZE.unusual(size).sum() + USUAL_MEMORY.unusual(force.time[:n]).sum()
+        if force.swells:
+            out += SWELL_MEMORY.unusual(force.time[n]) + SWELL_FREQUENCY.unusual(force.frequency[n])
+        return out
+
+
+@compiled
+def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
+    """-2 log p(samples, sizes, memories) but for a constant, and its slope by the `Logarithms`."""
+    meaning = Logarithms(len(force.axes))
+
     def of(logarithms):
-        new, time = jnp.exp(logarithms)
-        size = new * jnp.sqrt(time)
-        now = dataclasses.replace(force, size=size * unit, time=time)
+        now = meaning.set(force, unit, logarithms)
         count = len(every.start)
         parts = jax.tree.map(lambda a: in_parts(a, TOGETHER), every.line)
         passed = jax.lax.map(lambda part: jax.vmap(lambda line: filtered(line, now))(part), parts)
@@ -382,10 +473,8 @@ def _improbability(
             information, log_det, message = window.after(message, passed, now, spread)
             return message, information[-1, -1] + log_det
 
-        windows = eqx.tree_at(lambda w: w.carry, every, now.carry)
-        _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (windows, passed))
-        usual = (jnp.log(time / MEMORY) / SPREAD[0]) ** 2 + (jnp.log(size / SIZE) / SPREAD[1]) ** 2
-        return minus_twice.sum() + usual.sum()
+        _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (every, passed))
+        return minus_twice.sum() + meaning.unusual(now, unit)
 
     return jax.value_and_grad(of)(logarithms)
 
@@ -396,33 +485,56 @@ def estimated(
     force: Disturbance,
     unit: Float[np.ndarray, " axes"],
     covariance: Float[np.ndarray, "logarithms logarithms"],
-) -> tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"]]:
-    """The disturbance whose sizes and memories make the samples most likely, with a weak prior on both.
+) -> tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"], float]:
+    """The disturbance that makes the samples most likely, with a weak prior on its numbers.
+
+    And minus twice the logarithm of that likelihood, but for a constant.
 
     - `force`: where the search begins; `unit`: the full thrust [N, N m] of each axis, or what stands for it.
-    - `covariance`: of the logarithms by the curvature, first of how much is new on each axis, then of the
-      memories: as far as it is known, and returned as the search has learned it. One that begins with that of
-      a similar model takes few steps.
+    - `covariance`: of the `Logarithms` by the curvature, as far as it is known, and returned as the search
+      has learned it. One that begins with that of a similar model takes few steps.
     """
-    spread = _spread(problem)
-    time = np.asarray(force.time)
-    begin = np.log(np.concatenate([np.asarray(force.size) / unit / np.sqrt(time), time]))
+    spread, meaning = _spread(problem), Logarithms(len(force.axes))
+    begin = meaning.of(force, unit)
     # In these coordinates the likelihood curves alike in all directions.
     root = np.linalg.cholesky(covariance)
 
     def of(whitened):
-        logarithms = (begin + root @ whitened).reshape(2, -1)
-        value, slope = _improbability(jnp.asarray(logarithms), jnp.asarray(unit), every, spread, force)
-        value, slope = float(value), root.T @ np.asarray(slope).ravel()
+        logarithms = jnp.asarray(begin + root @ whitened)
+        value, slope = _improbability(logarithms, jnp.asarray(unit), every, spread, force)
+        value, slope = float(value), root.T @ np.asarray(slope)
         # Where the path has run away there is nothing to be found.
         return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (1e300, 0 * slope)
 
     # Half the slope's square is what a step is worth.
     how = {"maxiter": STEPS, "gtol": np.sqrt(2 * ENOUGH), "norm": 2}
     best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", options=how)
-    new, time = np.exp(begin + root @ best.x).reshape(2, -1)
-    found = dataclasses.replace(force, size=jnp.asarray(new * np.sqrt(time) * unit), time=jnp.asarray(time))
-    return found, root @ best.hess_inv @ root.T
+    found = meaning.set(force, jnp.asarray(unit), jnp.asarray(begin + root @ best.x))
+    return found, root @ best.hess_inv @ root.T, float(best.fun)
+
+
+def with_swell(
+    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+) -> Disturbance | None:
+    """The disturbance with a swell in its place, of its likeliest period, where that is likelier."""
+    spread, meaning = _spread(problem), Logarithms(len(force.axes))
+
+    def improbability(of: Disturbance) -> float:
+        logarithms = jnp.asarray(meaning.of(of, unit))
+        return float(_improbability(logarithms, jnp.asarray(unit), every, spread, of)[0])
+
+    n = len(force.axes)
+    small = dataclasses.replace(
+        force,
+        size=jnp.concatenate([force.size * LEFT, force.size]),
+        time=jnp.concatenate(
+            [jnp.maximum(force.time, USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
+        ),
+    )
+    frequencies = [jnp.concatenate([jnp.zeros(n), jnp.full(n, 2 * np.pi / period)]) for period in PERIODS]
+    swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
+    best = min((improbability(one), i) for i, one in enumerate(swells))
+    return swells[best[1]] if best[0] < improbability(force) else None
 
 
 class Likelihood(eqx.Module):
