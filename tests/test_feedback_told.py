@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxmarine.fitting import answers
+from jaxmarine.diagnosis._disturbed import in_words
+from jaxmarine.fitting import Disturbance, answers
 from jaxmarine.logs import Log
 from tests.boats import boat, record, steps
 
@@ -53,3 +54,17 @@ def test_logs_that_cannot_tell_are_not_feedback():
     short = slice(0, 100)
     assert not answers(Log(log.t[short], log.channels[short], log.commands[short], None, ("stern",), "a.csv"))
     assert not answers(Log(log.t, log.channels, None, np.zeros((SAMPLES, 6)), (), "wrenches.csv"))
+
+
+def test_what_disturbs_is_said_in_words():
+    force = Disturbance(
+        size=np.array([3.0, 0.5, 1.2, 0.04]),
+        time=np.array([4.0, 11.0, 8.0, 8.0]),
+        frequency=np.array([0.0, 0.0, 1.0, 1.0]),
+        gap=np.zeros(1),
+        joined=np.zeros(1, bool),
+        axes=(1, 5),
+    )
+    said = in_words(force)
+    assert "3 N in sway with a memory of 4 s, 0.5 N m in yaw with a memory of 11 s" in said
+    assert said.endswith("a swell of 6.3 s: 1.2 N in sway, 0.04 N m in yaw.")

@@ -14,6 +14,7 @@ from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
+from ._disturbed import in_words
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
 from ._judge import Judged, judged
@@ -286,6 +287,8 @@ def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:
         for one in answer.unknown
         if one.tied
     ]
+    if answer.model.beside is not None:
+        notes.append(in_words(answer.model.beside.force))
     notes += [told(one) for one in diagnosis.findings if one.excess is not None]
     if diagnosis.contradicted is not None:
         notes.append(diagnosis.contradicted)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from .._angles import ANGLES
 from ..logs import Log
 
 # Samples of the past that a command is predicted from, and parts that are left out in turn.
@@ -18,8 +19,8 @@ PAST, PARTS = 2, 24
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
 PULL = 1e-6
 # Probability that one of the commands of a log without feedback looks as if it answered: then a disturbance
-# is looked for that is not there, which costs time and no answer.
-CHANCE = 1e-2
+# is looked for that is not there, which costs time and no answer. So one log in ten may.
+CHANCE = 0.1
 
 
 def answers(log: Log) -> bool:
@@ -35,9 +36,9 @@ def answers(log: Log) -> bool:
     if not changes.any():
         return False
     seen = log.channels[:, :12].copy()
-    seen = seen[:, np.isfinite(seen).mean(axis=0) > 0.5]
-    angles = [i for i in range(seen.shape[1]) if np.nanmax(np.abs(seen[:, i])) <= np.pi]
-    for i in angles:
+    measured = np.isfinite(seen).mean(axis=0) > 0.5
+    seen = seen[:, measured]
+    for i in np.flatnonzero(ANGLES[:12][measured]):
         # A heading that jumps by a turn has not changed.
         here = np.isfinite(seen[:, i])
         seen[here, i] = np.unwrap(seen[here, i])
