@@ -27,7 +27,7 @@ from ._noise import noise_of
 from ._review import reviewed
 from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
-from ._trajectory import ROUGH, segments, spurious, window_task
+from ._trajectory import FINE, ROUGH, segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
 from ._weights import largest, overdispersion, scaled
 from ._windows import cut
@@ -187,8 +187,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     weighed = _Weighed(task, estimated, logs[0].dt)
     begin = jnp.zeros(count), jnp.zeros((data.windows.count, 12))
     # As roughly as a fit solves before it weighs, where other weights follow.
-    fine = {"rtol": ROUGH} if estimated.any() else {}
-    refined = refine_windows(weighed.at_first(), *begin, **fine)
+    refined = refine_windows(weighed.at_first(), *begin, rtol=ROUGH if estimated.any() else FINE)
     if np.isfinite(refined.cost) and estimated.any():
         task = weighed.after(refined)
         refined = refine_windows(task, refined.z, refined.delta)
