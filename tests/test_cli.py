@@ -341,10 +341,11 @@ def test_fit_frees_an_effect_that_the_file_does_not_have(jaxmarine, folder, ship
     code, out, err = jaxmarine(*words, "--free", "constant_wrench:surge")
     assert code == 0 and not err
     assert f"{name}.factor" in out and "constant_wrench:surge.value" in out
-    gain, wrench = jm.load_vehicle(folder / "out.toml").placed
-    np.testing.assert_allclose(gain.effect.factor[0], 0.8, rtol=0.03)
-    np.testing.assert_array_equal(gain.effect.factor[1:], 1.0)
-    assert abs(wrench.effect.value[0]) < 0.02 * more[0]
+    placed = jm.load_vehicle(folder / "out.toml").placed
+    factor, wrench = placed[0].effect.parameters()["factor"], placed[1].effect.parameters()["value"]
+    np.testing.assert_allclose(factor[0], 0.8, rtol=0.03)
+    np.testing.assert_array_equal(factor[1:], 1.0)
+    assert abs(wrench[0]) < 0.02 * more[0]
 
 
 def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, ship):
