@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, QuadraticDamping
+from ..effects import AbstractEffect, AddedMass, FluidMemory, QuadraticDamping
 from ..fitting import (
     LEAST_DAMPING,
     Affine,
@@ -575,7 +575,7 @@ class Workbench:
         return True
 
     def brakes(self, model: Model) -> bool:
-        """Whether the damping, as the model has it, brakes each axis at the logs' speeds.
+        """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
 
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
         """
@@ -588,6 +588,11 @@ class Workbench:
                 axis, by_speed = c.place[0], c.effect is QuadraticDamping
                 least = c.value + theta[:, c.index] + c.prior
                 braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
+        for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
+            if suspect.effect is FluidMemory:
+                # What comes late brakes as much in the end.
+                gain = columns[:, list(suspect.slots).index("gain")]
+                braking[:, DOFS.index(str(suspect.target))] += theta @ gain
         return bool((braking >= 0).all())
 
     def stands(self, model: Model, beside: Model) -> bool:
