@@ -185,15 +185,25 @@ def trial_of(model: Model, member: Member, refitted: Model) -> Trial:
     return Trial(member, refitted, 2 * (model.cost - refitted.cost))
 
 
+def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | None) -> Model:
+    """The model with one member more, at a value or neutral.
+
+    One that stands for a coefficient of the file takes over how far that has bent: the model stays the same.
+    """
+    if value is not None:
+        return bench.with_member(model, member, value)
+    begin, which = bench.layout.columns[member.suspect].shape[1] * [0.0], bench.coefficient_of(member.suspect)
+    if which is not None and member.since is None:
+        begin[0] = model.z[which]
+        model = dataclasses.replace(model, z=np.where(np.arange(len(model.z)) == which, 0.0, model.z))
+    return bench.with_member(model, member, np.array(begin))
+
+
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
     """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
-    begun = []
-    for member, value in starts:
-        value = np.zeros(bench.layout.columns[member.suspect].shape[1]) if value is None else value
-        begun.append(bench.with_member(model, member, value))
-
+    begun = [_joined(bench, model, member, value) for member, value in starts]
     refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
