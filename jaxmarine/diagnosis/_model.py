@@ -188,6 +188,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), steps // parts)
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
+        self._refined = set[tuple[int, bool]]()  # kinds of models whose programs are compiled
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -454,10 +455,14 @@ class Workbench:
             with jax.enable_x64(True):
                 return self.refine(model, max_steps, rtol)
 
-        # The first compiles the program that the others share.
-        first = [refined(model) for model in models[:1]]
+        # The first compiles the program that the others share, if none of its kind was refined before.
+        kinds = {(self.slots(len(model.z)), model.beside is None) for model in models}
+        alone = 0 if kinds <= self._refined else 1
+        first = [refined(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return [*first, *pool.map(refined, models[1:])]
+            out = [*first, *pool.map(refined, models[alone:])]
+        self._refined |= kinds
+        return out
 
     def likeliest_each(self, models: Sequence[Model], max_steps: int, rtol: float, times: int) -> list[Model]:
         """`likeliest` of each, as `refine_each`."""
