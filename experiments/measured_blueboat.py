@@ -36,6 +36,9 @@ TRAIN = (216, 218, 221, 222, 223, 224, 226, 228, 232, 233, 235, 239)
 TEST = (220, 225, 230, 234)
 QUICK = (226, 233)
 FREED = ("added_mass", "damping", "thrust", "reverse_thrust")
+# What a boat commonly has beside that: lift of its hull in turns, a dead zone of its motor controllers, and
+# thrust that is not linear in the command.
+OF_BOATS = ("turning_lift", "deadband", "curve")
 # Once the effects are named, the shape of the thrust as well.
 FREED_AGAIN = (*FREED, "curve")
 PRIOR = "0.5"
@@ -169,7 +172,13 @@ def main(
             *("fit", "--vehicle", GUESS, *columns, *repeated("--train", train)),
             *(*repeated("--free", FREED), "--prior", PRIOR, "--out", fitted),
         )
+        whole = out / "fitted_as_a_boat.toml"
+        _, seconds["fit with effects"] = command(
+            *("fit", "--vehicle", GUESS, *columns, *repeated("--train", train)),
+            *(*repeated("--free", (*FREED, *OF_BOATS)), "--prior", PRIOR, "--out", whole),
+        )
         models = {"guessed file": jm.load_vehicle(GUESS), "jaxmarine fit": jm.load_vehicle(fitted)}
+        models[f"jaxmarine fit, also {', '.join(OF_BOATS)}"] = jm.load_vehicle(whole)
         results: dict[str, Any] = {"check_as_named": said.splitlines(), "check": checked.splitlines()}
         if not quick:
             _, seconds["diagnose"] = command(

@@ -392,7 +392,10 @@ def fit(
     train: TrainOption,
     free: Annotated[
         list[str],
-        typer.Option("--free", help=f"What is fitted: {', '.join(_FREE)}; repeat for several."),
+        typer.Option(
+            "--free",
+            help=f"What is fitted: {', '.join(_FREE)}, or an effect, EFFECT[:TARGET]; repeat for several.",
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
     prior: Annotated[
@@ -401,10 +404,7 @@ def fit(
     ] = None,
     columns: ColumnsOption = None,
 ) -> None:
-    """Fits coefficients that the vehicle file already has, by the trajectory loss (diagonal entries)."""
-    unknown = [name for name in free if name not in _FREE]
-    if unknown:
-        raise InputError(f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}.")
+    """Fits coefficients that the vehicle file has (diagonal entries), and effects, by the trajectory loss."""
     if len(set(free)) < len(free) or ("damping" in free and {"linear", "quadratic"} & {*free}):
         raise InputError(
             "--free: names a coefficient twice (`damping` is `linear` and `quadratic`); once will do."
@@ -412,14 +412,27 @@ def fit(
     if prior is not None and not prior > 0:
         raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
     _prepare()
+    from .effects import CATALOGUE
     from .fitting import fit as run
-    from .vehicle_io import load_vehicle, save_vehicle
+    from .vehicle_io import load_vehicle, save_vehicle, with_effect
 
+    effects = {effect.name for effect in CATALOGUE}
+    unknown = [name for name in free if name not in _FREE and name.partition(":")[0] not in effects]
+    if unknown:
+        raise InputError(
+            f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}, or take an effect of the "
+            "catalogue, such as `turning_lift` or `thruster_gain:all`."
+        )
     _file(out)
     craft = load_vehicle(vehicle)
     useless = [] if craft.thruster_names else [name for name in free if name in _OF_THRUSTERS]
     if useless:
         raise InputError(f"--free {useless[0]}: {craft.name} has no thrusters; free something else.")
+    chosen = [_FREE[name] for name in free if name in _FREE]
+    for name in free:
+        if name not in _FREE:
+            craft, which = with_effect(craft, name)
+            chosen.append(lambda v, which=which: v.placed[which].effect)
     columns_map = _columns(columns)
     logs = _read(train, craft, columns_map)
     _note(*logs)
@@ -428,7 +441,7 @@ def fit(
             lambda _: run(
                 craft,
                 logs,
-                lambda v: tuple(_FREE[name](v) for name in free),
+                lambda v: tuple(select(v) for select in chosen),
                 prior=prior,
                 entries="diagonal",
                 throw=False,

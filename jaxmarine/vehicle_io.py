@@ -79,6 +79,26 @@ def cause_named(vehicle: Vehicle, text: str) -> Placed:
     return Placed(place(suspect, vehicle, values), suspect.target)
 
 
+def with_effect(vehicle: Vehicle, label: str) -> tuple[Vehicle, int]:
+    """The vehicle with an effect `EFFECT[:TARGET]` in it, and its place among those; raises `InputError`.
+
+    One that it has stays as it is. Another begins where it changes nothing, or where that has no slope at the
+    first value that a fit is to begin from.
+    """
+    effect, _, target = label.partition(":")
+    try:
+        suspect = suspect_named(vehicle, effect, target or None)
+        if not suspect.slots:
+            raise ValueError("has no number that could be fitted.")
+    except ValueError as error:
+        raise InputError(f"Effect `{label}` {error}") from error
+    for i, placed in enumerate(vehicle.placed):
+        if isinstance(placed.effect, suspect.effect) and placed.target == suspect.target:
+            return vehicle, i
+    start = suspect.starts[0] if suspect.starts else {}
+    return vehicle.place(Placed(place(suspect, vehicle, start), suspect.target)), len(vehicle.placed)
+
+
 def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
     if entry.effect in _LEARNED:
         if entry.arrays is None or not entry.inputs:

@@ -258,6 +258,12 @@ def test_what_is_fitted_has_a_known_name(jaxmarine, folder):
     assert "choose from damping" in one_sentence(err)
 
 
+def test_an_effect_that_is_fitted_has_a_target_of_the_vehicle(jaxmarine, folder):
+    code, _, err = jaxmarine(*call("fit", folder), "--free", "thruster_gain:keel")
+    assert code == 2
+    assert "Effect `thruster_gain:keel` has the target `keel`" in one_sentence(err)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -319,6 +325,27 @@ def test_fit_writes_the_vehicle_that_made_the_log(jaxmarine, folder, ship):
     np.testing.assert_allclose(fitted.thrusters.max_thrust, thrust, rtol=0.03)
     np.testing.assert_array_equal(fitted.damping.linear, ship.damping.linear)
     assert fitted.name == "cybership2"
+
+
+def test_fit_frees_an_effect_that_the_file_does_not_have(jaxmarine, folder, ship):
+    """The log is of thrusters as filed, so that a file with more thrust in one needs a gain below one there.
+
+    And nothing else acts on the hull: a constant wrench begins at zero, where no prior holds it.
+    """
+    more = ship.thrusters.max_thrust.at[0].divide(0.8)
+    wrong = dataclasses.replace(ship, thrusters=dataclasses.replace(ship.thrusters, max_thrust=more))
+    jm.save_vehicle(wrong, folder / "ship.toml")
+    words = [*call("fit", folder), "--prior", "0.3"]
+    name = f"thruster_gain:{ship.thruster_names[0]}"
+    words[words.index("damping")] = name
+    code, out, err = jaxmarine(*words, "--free", "constant_wrench:surge")
+    assert code == 0 and not err
+    assert f"{name}.factor" in out and "constant_wrench:surge.value" in out
+    placed = jm.load_vehicle(folder / "out.toml").placed
+    factor, wrench = placed[0].effect.parameters()["factor"], placed[1].effect.parameters()["value"]
+    np.testing.assert_allclose(factor[0], 0.8, rtol=0.03)
+    np.testing.assert_array_equal(factor[1:], 1.0)
+    assert abs(wrench[0]) < 0.02 * more[0]
 
 
 def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, ship):

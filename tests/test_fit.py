@@ -341,6 +341,14 @@ def test_an_effect_is_freed_on_its_target_only():
     np.testing.assert_array_equal(changed.placed[1].effect.value, [0, 3.0, 0, 0, 0, 0])
 
 
+def test_a_prior_relative_to_the_file_does_not_hold_an_effect_that_is_none_yet():
+    gain = Placed(ThrusterGain.neutral(boat()), "all")
+    push = Placed(ConstantWrench.neutral(boat()), "sway")
+    vehicle = boat().place(gain, push)
+    _, scales = set_free(vehicle, lambda v: tuple(p.effect for p in v.placed), prior=0.3)
+    np.testing.assert_allclose(scales.prior, [0.3, np.inf])
+
+
 @pytest.mark.parametrize(
     ("free", "options", "says"),
     [

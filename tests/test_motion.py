@@ -2,13 +2,15 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxmarine._types import CHANNELS, DOFS, SENSORS
 from jaxmarine.logs import Log, _motion, doubtful_noise, smooth_motion
-from jaxmarine.logs._euler import turns_of
+from jaxmarine.logs._euler import matrices_of, quaternions_of, turns_of
 from jaxmarine.logs._states import body_rates
+from jaxmarine.physics import from_euler
 
 DT, FINE = 0.1, 20
 NOISE = np.repeat([0.02, 0.005, 0.02, 0.01, 0.05, 0.05], 3)
@@ -132,3 +134,12 @@ def test_stated_noise_is_checked():
     for factor in (0.2, 5.0):
         (note,) = doubtful_noise(log, stated | {"velocity": factor * stated["velocity"]})
         assert note.startswith("log: the samples of velocity scatter by about 0.0") and "[sensors]" in note
+
+
+def test_attitudes_of_many_samples_are_those_one_by_one():
+    """Matrices by their formula as scipy's; quaternions as the simulation's, with their sign."""
+    angles = np.random.default_rng(0).normal(scale=5.0, size=(50, 3))
+    np.testing.assert_allclose(matrices_of(angles), turns_of(angles).as_matrix(), atol=1e-14)
+    each = [from_euler(jnp.asarray(one)) for one in angles]
+    np.testing.assert_allclose(quaternions_of(angles), each, atol=1e-6)
+    assert matrices_of(angles.reshape(5, 10, 3)).shape == (5, 10, 3, 3)

@@ -20,12 +20,13 @@ from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
-from jaxmarine.diagnosis._search import search
+from jaxmarine.diagnosis._search import _joined, search
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import (
     CATALOGUE,
     AddedMass,
+    FluidMemory,
     LinearDamping,
     QuadraticDamping,
     ReverseThrust,
@@ -119,6 +120,33 @@ def test_damping_brakes_until_it_pushes_by_more_than_a_file_is_commonly_wrong(li
         model = bench.start()
         model.z[which] = -share * most
         assert bench.brakes(model) == brakes
+
+
+def test_a_memory_that_pushes_brakes_no_more_than_damping_that_does():
+    """It is as much in the end: against linear damping of 20 N s/m, and the tenth of it that may be wrong."""
+    whole = boat()
+    damping = Damping(whole.damping.linear.at[0, 0].set(20.0), whole.damping.quadratic.at[0, 0].set(0.0))
+    log = record(boat(), steps())
+    bench = workbench(dataclasses.replace(whole, damping=damping), (log,), CATALOGUE, None)
+    speed = float(np.sqrt((np.asarray(bench.data.windows.velocity)[:, 0] ** 2).mean()))
+    most = 22.0 + 0.02 * 55 * speed
+    memory = bench.layout.place_of(Placed(FluidMemory.neutral(boat()), "surge"))
+    for share, brakes in ((0.99, True), (1.01, False)):
+        model = bench.with_member(bench.start(), Member(memory), np.array([-share * most, 0.0]))
+        assert bench.brakes(model) == brakes
+
+
+def test_a_suspect_takes_over_how_far_its_coefficient_has_bent():
+    bench = workbench(boat(), (record(boat(), steps()),), CATALOGUE, None)
+    which = next(j for j, c in enumerate(bench.base) if c.label == "linear_damping:surge")
+    model = bench.start()
+    model.z[which] = 3.0
+    joined = _joined(bench, model, Member(bench.base[which].suspect), None)
+    np.testing.assert_array_equal(bench.theta(joined), bench.theta(model))
+    assert joined.z[which] == 0.0 and joined.z[-1] == 3.0
+    # From a beginning on it acts beside the coefficient, not in its place.
+    late = _joined(bench, model, Member(bench.base[which].suspect, Beginning(0, 10.0)), None)
+    assert late.z[which] == 3.0 and late.z[-1] == 0.0
 
 
 def test_a_craft_without_thrusters_can_be_weighed():

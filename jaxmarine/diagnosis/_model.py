@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, QuadraticDamping
+from ..effects import AbstractEffect, AddedMass, FluidMemory, QuadraticDamping
 from ..fitting import (
     LEAST_DAMPING,
     USUAL_MEMORY,
@@ -196,6 +196,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), steps // parts)
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
+        self._refined = set[tuple[int, bool | None]]()  # kinds of models whose programs are compiled
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -476,10 +477,14 @@ class Workbench:
             with jax.enable_x64(True):
                 return self.likeliest(model, max_steps, rtol, times)
 
-        # The first compiles the program that the others share.
-        first = [refined(model) for model in models[:1]]
+        # The first compiles the program that the others share, if none of its kind was refined before.
+        kinds = {(self.slots(len(model.z)), model.beside and model.beside.force.swells) for model in models}
+        alone = 0 if kinds <= self._refined else 1
+        first = [refined(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return [*first, *pool.map(refined, models[1:])]
+            out = [*first, *pool.map(refined, models[alone:])]
+        self._refined |= kinds
+        return out
 
     def swelling(self, model: Model) -> Model:
         """The model beside a swell too, where the logs are likelier so; its disturbance is estimated."""
@@ -600,7 +605,7 @@ class Workbench:
         return True
 
     def brakes(self, model: Model) -> bool:
-        """Whether the damping, as the model has it, brakes each axis at the logs' speeds.
+        """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
 
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
         """
@@ -613,6 +618,11 @@ class Workbench:
                 axis, by_speed = c.place[0], c.effect is QuadraticDamping
                 least = c.value + theta[:, c.index] + c.prior
                 braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
+        for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
+            if suspect.effect is FluidMemory:
+                # What comes late brakes as much in the end.
+                gain = columns[:, list(suspect.slots).index("gain")]
+                braking[:, DOFS.index(str(suspect.target))] += theta @ gain
         return bool((braking >= 0).all())
 
     def stands(self, model: Model, beside: Model) -> bool:

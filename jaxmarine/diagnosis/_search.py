@@ -187,14 +187,26 @@ def trial_of(model: Model, member: Member, refitted: Model) -> Trial:
     return Trial(member, refitted, 2 * (model.cost - refitted.cost))
 
 
+def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | None) -> Model:
+    """The model with one member more, at a value or neutral.
+
+    One that stands for a coefficient of the file takes over how far that has bent: the model stays the same.
+    """
+    if value is not None:
+        return bench.with_member(model, member, value)
+    begin = np.zeros(bench.layout.columns[member.suspect].shape[1])
+    which = bench.coefficient_of(member.suspect)
+    if which is not None and member.since is None:
+        begin[0] = model.z[which]
+        model = dataclasses.replace(model, z=np.where(np.arange(len(model.z)) == which, 0.0, model.z))
+    return bench.with_member(model, member, begin)
+
+
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
     """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
-    begun = []
-    for member, value in starts:
-        begun.append(bench.with_member(model, member, _neutral(bench, member) if value is None else value))
-
+    begun = [_joined(bench, model, member, value) for member, value in starts]
     refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
@@ -308,12 +320,12 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     paying = _paying(bench, ranked)
     always = [one for one in paying if one.since is None][:SHORTLIST]
     late = [one for one in paying if one.since is not None][:SHORTLIST_BEGUN]
-    starts = [(one, _neutral(bench, one)) for one in (*always, *late)]
+    starts: list[tuple[Member, np.ndarray | None]] = [(one, None) for one in (*always, *late)]
     starts += probes(bench, model, max(ranked.values(), default=0.0))
     quick = bench.hurried(model)
     hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
-    begun = [bench.with_member(model, member, value) for member, value in starts]
+    begun = [_joined(bench, model, member, value) for member, value in starts]
     rough = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
@@ -321,9 +333,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
     members = [*(t.member for t in hopeful), *hidden]
-    begun = [t.model for t in hopeful] + [
-        bench.with_member(quick, one, _neutral(bench, one)) for one in hidden
-    ]
+    begun = [t.model for t in hopeful] + [_joined(bench, quick, one, None) for one in hidden]
     refitted = bench.refine_each(begun, STEPS, ROUGH, 1)
     trials = rest + [trial_of(model, member, one) for member, one in zip(members, refitted, strict=True)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
@@ -332,10 +342,6 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
 def _paying(bench: Workbench, ranked: dict[Member, float]) -> list[Member]:
     """Suspects that save more than their parameters and their beginning cost."""
     return [member for member, saved in ranked.items() if evidence(bench, member, saved, 1.0) > 0]
-
-
-def _neutral(bench: Workbench, member: Member) -> np.ndarray:
-    return np.zeros(bench.layout.columns[member.suspect].shape[1])
 
 
 def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:

@@ -118,7 +118,9 @@ class Deadband(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "width")
+        # The slope at none is that of commands beyond any width: a craft that lies still at a trim within it
+        # would be pushed the other way.
+        return _one(cls, craft, "width", 0.05, 0.15)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, deadband=drive.deadband + self.width)

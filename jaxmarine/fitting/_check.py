@@ -27,7 +27,7 @@ from ._noise import noise_of
 from ._review import reviewed
 from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
-from ._trajectory import segments, spurious, window_task
+from ._trajectory import FINE, ROUGH, segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
 from ._weights import largest, overdispersion, scaled
 from ._windows import cut
@@ -183,10 +183,13 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     count = len(freed.names)
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
     task = window_task(freed, units, data, acting, split, False)
-    refined = refine_windows(task, jnp.zeros(count), jnp.zeros((data.windows.count, 12)))
     estimated = np.isfinite(noise) & np.isnan(vehicle.stated_noise)
+    weighed = _Weighed(task, estimated, logs[0].dt)
+    begin = jnp.zeros(count), jnp.zeros((data.windows.count, 12))
+    # As roughly as a fit solves before it weighs, where other weights follow.
+    refined = refine_windows(weighed.at_first(), *begin, rtol=ROUGH if estimated.any() else FINE)
     if np.isfinite(refined.cost) and estimated.any():
-        task = _reweighed(task, refined, estimated, logs[0].dt)
+        task = weighed.after(refined)
         refined = refine_windows(task, refined.z, refined.delta)
     if not np.isfinite(refined.cost):
         raise runaway(logs[0].name, vehicle.name)
@@ -246,14 +249,27 @@ def evaluated(
     )
 
 
-def _reweighed(task: Task, refined: Refined, channels: np.ndarray, dt: float) -> Task:
-    """The task with the noise of some channels raised to what the file leaves, as a fit weighs them."""
-    windows = task.problem.windows
-    own = np.asarray(windows.weight)
-    residual = predict(task.problem, task.affine.theta, refined.delta)[1]
-    factor = overdispersion(residual, own, largest(np.asarray(windows.measured), own))
-    weight = scaled(own, np.where(channels, factor, 1.0), dt)
-    return task.weighed(weight)
+class _Weighed:
+    """A task with the noise of some channels raised, as a fit weighs them.
+
+    `at_first` to what a channel changes by: under the jitter of an estimator's output alone, initial states
+    are pulled beyond where a linearisation holds. `after` a solve to what the file leaves in it.
+    """
+
+    def __init__(self, task: Task, channels: np.ndarray, dt: float):
+        self.task, self.channels, self.dt = task, channels, dt
+        self.own = np.asarray(task.problem.windows.weight)
+        self.most = largest(np.asarray(task.problem.windows.measured), self.own)
+
+    def at_first(self) -> Task:
+        return self._raised(self.most)
+
+    def after(self, refined: Refined) -> Task:
+        residual = predict(self.task.problem, self.task.affine.theta, refined.delta)[1]
+        return self._raised(overdispersion(residual, self.own, self.most))
+
+    def _raised(self, factor: np.ndarray) -> Task:
+        return self.task.weighed(scaled(self.own, np.where(self.channels, factor, 1.0), self.dt))
 
 
 def coefficient_name(kind: str, dof: str) -> str:

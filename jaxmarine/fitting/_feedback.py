@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
 
 from .._angles import ANGLES
 from ..logs import Log
@@ -50,7 +49,10 @@ def answers(log: Log) -> bool:
     alone = _errors(past, new[:, changes])
     better = np.log(alone / _errors(np.concatenate([past, shown], axis=1), new[:, changes]))
     # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.
-    tested: Any = stats.wilcoxon(better, alternative="greater", axis=0)
+    # Here, as it takes half a second to import, which a fit or a check has no use for.
+    from scipy.stats import wilcoxon
+
+    tested: Any = wilcoxon(better, alternative="greater", axis=0)
     return bool(np.min(tested.pvalue) * changes.sum() < CHANCE)
 
 

@@ -130,10 +130,11 @@ def fit(
       smoothed log, which is what a prediction from there has.
     - `prior`: width relative to the start values (of an inertia: to the total mass; of a thrust, and of
       damping on a diagonal, where they are positive: of their logarithm, so that they stay so; of a start of
-      zero: to a typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`), or standard
-      deviations in the structure of `free(vehicle)`, where 0 holds an entry and inf means none. What the logs
-      do not determine stays at the start by it, with that standard error. A learned network needs one, as its
-      weights are never all determined.
+      zero: to a typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`, and none of an
+      effect of the catalogue, which may be of any size), or standard deviations in the structure of
+      `free(vehicle)`, where 0 holds an entry and inf means none. What the logs do not determine stays at the
+      start by it, with that standard error. A learned network needs one, as its weights are never all
+      determined.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
     - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
     - `reject`: leaves out windows whose chi-square lies far above the median one (trajectory only), because

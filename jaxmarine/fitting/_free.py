@@ -247,8 +247,9 @@ def set_free(
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
     - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero:
-      to its typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`), or standard
-      deviations in the structure of `free(vehicle)`: 0 holds an entry, inf leaves it without prior.
+      to its typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`, and none of an
+      effect of the catalogue), or standard deviations in the structure of `free(vehicle)`: 0 holds an
+      entry, inf leaves it without prior.
     - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of
       locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
@@ -291,6 +292,9 @@ def set_free(
             value = np.abs(np.asarray(leaf).ravel()[flat])
             size = np.where(value > 0, value, 1.0)
         width = float(prior) * size if isinstance(prior, float | int) else std.ravel()[flat]
+        if relative and name.startswith("placed") and _of_target(vehicle, path)[0] is not None:
+            # An effect that changes nothing yet may be of any size; weights of a network may not.
+            width = np.where(np.asarray(part.start) == 0.0, np.inf, width)
         if (width == 0).any():
             raise ValueError(
                 f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "

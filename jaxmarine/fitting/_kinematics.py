@@ -27,7 +27,7 @@ from ..effects import (
     Suspect,
     place,
 )
-from ..logs import Log, reachable, resolution
+from ..logs import Log, matrices_of, reachable, resolution
 from ..physics import LATE
 from ..vehicle import Vehicle
 from ._uncertainty import t_value
@@ -51,6 +51,8 @@ AGREES, AT_ANOTHER_TIME, LATEST = 0.3, 0.5, 2.0
 OFF, SHARE = 5.0, 0.2
 # Lags that must be there to tell a time by: a slowly sampled log has fewer.
 FEWEST_LAGS = 6
+# Stretches are filled up to a multiple of as many, so that those at other lags share one program.
+_GRAIN = 128
 # A radian.
 _DEGREES = np.rad2deg(1.0)
 _ONES = np.ones(6)
@@ -84,7 +86,7 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
         channels = _bridged(log)
         poses = np.where(still, 0.0, channels[:, :6])
         there = np.asarray(np.isfinite(poses).all(axis=1))
-        turns = Rotation.from_euler("ZYX", np.where(there[:, None], poses, 0.0)[:, :2:-1]).as_matrix()
+        turns = matrices_of(np.where(there[:, None], poses, 0.0)[:, 3:])
         rows = np.arange(0, len(log.t) - size, size)[:, None] + np.arange(size + 1)
         span = log.t[rows[:, -1]] - log.t[rows[:, 0]]
         at = np.flatnonzero(there[rows].all(axis=1) & (span <= 1.5 * size * log.dt))
@@ -106,10 +108,12 @@ def _bridged(log: Log) -> Float[np.ndarray, "times 18"]:
     """The channels, also between samples of one that is measured less often than there are rows."""
     out = np.array(log.channels)
     for name, column in zip(CHANNELS, out.T, strict=True):
-        seen = np.flatnonzero(np.isfinite(column))
+        known = np.isfinite(column)
+        seen, rows = np.flatnonzero(known), np.flatnonzero(~known)
         if name in ATTITUDE:
             column[seen] = np.unwrap(column[seen])
-        rows = np.flatnonzero(np.isnan(column))
+        if not len(seen) or not len(rows):
+            continue
         after = np.searchsorted(seen, rows)
         inside = (after > 0) & (after < len(seen))
         rows, after = rows[inside], after[inside]
@@ -421,7 +425,13 @@ def _apart(
 
 def _shown(seen: Kinematics, effects: Sequence[SensorEffect]) -> Float[np.ndarray, "stretches 6"]:
     """What velocity sensors with these effects would have logged on average over each stretch."""
-    return np.asarray(_sensed(tuple(effects), seen.rotation, seen.nu, seen.span))
+    count = len(seen.span)
+    more = -count % _GRAIN
+    filled = [
+        np.pad(a, [(0, more)] + [(0, 0)] * (a.ndim - 1), mode="edge")
+        for a in (seen.rotation, seen.nu, seen.span)
+    ]
+    return np.asarray(_sensed(tuple(effects), *filled))[:count]
 
 
 @compiled

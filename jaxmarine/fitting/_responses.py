@@ -101,7 +101,8 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
         columns = np.concatenate([pushed[offset], around], axis=1)
         # Without units, and without what the others tell already.
         scale = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
-        inverse = np.linalg.pinv(columns / scale, rcond=1e-6)
+        q, r = np.linalg.qr(columns / scale)
+        inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T
         slopes = inverse @ gained
         rest = gained - columns / scale @ slopes
         return inverse[:count] / scale[:count, None], slopes[:count] / scale[:count, None], rest

@@ -34,7 +34,7 @@ _WEIGHINGS = 8
 _SHORTEST, _FEWEST = 0.5, 16
 # Steps of each but the last, and the share of the cost that one must promise: the next has other weights. The
 # last ends where a step promises nothing any more.
-_ROUGH_STEPS, _ROUGH, _FINE = 12, 1e-3, 1e-9
+_ROUGH_STEPS, ROUGH, FINE = 12, 1e-3, 1e-9
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -137,7 +137,7 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
         weighed = task.weighed(scaled(own, factor, dt))
         if reject:
             weighed, z, delta = _without_costly(weighed, z, delta)
-        how = (max_steps, _FINE) if last else (min(_ROUGH_STEPS, max_steps), _ROUGH)
+        how = (max_steps, FINE) if last else (min(_ROUGH_STEPS, max_steps), ROUGH)
         refined = refine_windows(weighed, z, delta, *how)
         steps += int(refined.steps)
         z, delta = refined.z, refined.delta

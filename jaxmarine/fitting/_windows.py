@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._errors import InputError
-from ..logs import Log, smooth_states
-from ..physics import from_euler
+from ..logs import Log, quaternions_of, smooth_states
 from ..vehicle import Vehicle
 
 
@@ -176,7 +175,7 @@ def cut(
         records["dt"].append(pad(steps))
         records["commands"].append(pad(np.asarray(commands)))
         records["wrench"].append(pad(np.asarray(wrench)))
-        records["attitude"].append(pad(np.asarray(jax.vmap(from_euler)(jnp.asarray(track.attitude)))))
+        records["attitude"].append(pad(quaternions_of(track.attitude)))
         records["velocity"].append(pad(track.nu))
         records["segment"].append(pad(segment))
 
@@ -211,7 +210,7 @@ def cut(
         logs=tuple(logs),
         records=Records(**{name: jnp.asarray(np.array(value)) for name, value in records.items()}),
         windows=Windows(
-            attitude=jax.vmap(from_euler)(jnp.asarray(attitude)),
+            attitude=jnp.asarray(quaternions_of(attitude)),
             **{name: jnp.asarray(np.array(value)) for name, value in parts.items()},
         ),
         starts=np.array(starts),
@@ -242,6 +241,6 @@ def split(data: Cut, parts: int) -> Windows:
         measured=cut_up(windows.measured),
         weight=cut_up(windows.weight),
         position=jnp.asarray(at_start([track.position for track in tracks])),
-        attitude=jax.vmap(from_euler)(jnp.asarray(at_start([track.attitude for track in tracks]))),
+        attitude=jnp.asarray(quaternions_of(at_start([track.attitude for track in tracks]))),
         velocity=jnp.asarray(at_start([track.nu for track in tracks])),
     )

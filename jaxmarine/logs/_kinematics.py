@@ -12,7 +12,7 @@ from jaxtyping import Float
 from .._errors import InputError
 from .._types import ATTITUDE, CHANNELS
 from ._craft import free_poses
-from ._euler import turns_of
+from ._euler import matrices_of
 from ._log import Log
 from ._states import body_rates
 
@@ -65,7 +65,7 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
     value[:, places], slope[:, places], bend[:, places] = smooth(log.t, samples, noise[places])
 
     attitude = value[:, 3:]
-    turn = turns_of(attitude).as_matrix()
+    turn = matrices_of(attitude)
     rates = body_rates(attitude, slope[:, 3:])
     velocity = np.einsum("tji,tj->ti", turn, slope[:, :3])
     # d/dt (R' p') = R' p'' - w x R' p'; the rates are linear in the slopes of the angles.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._types import DOFS
-from ._euler import turns_of
+from ._euler import matrices_of
 from ._kinematics import by_attitude, step
 from ._log import Log
 from ._noise import sensor_noise
@@ -81,7 +81,7 @@ def smooth_motion(log: Log, dof: Sequence[str], noise: Float[np.ndarray, "18"] |
     p, dp = body_rates(attitude, slope), body_rates(attitude, bend) + by_attitude(attitude, slope)
     p_std, dp_std = _turned_std(rates, covariance)
 
-    turn = np.swapaxes(turns_of(attitude).as_matrix(), 1, 2)
+    turn = np.swapaxes(matrices_of(attitude), 1, 2)
     carried = np.cross(p, guess.nu[:, :3])
     moved, spread = _smoothed(
         log.t,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from .._types import ATTITUDE, CHANNELS, DOFS
-from ._euler import angles_of, turns_of
+from ._euler import angles_of, matrices_of, turns_of
 from ._log import Log
 
 # Half the width of the smoothing window: long enough to tame differentiated positions, short
@@ -60,7 +60,7 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
     attitude = _attitude(log.t, value[:, 3:6], value[:, 9:12], known_pose[3:])
     slope[:, 3:6] = np.where(known_pose[3:], slope[:, 3:6], np.gradient(attitude, log.t, axis=0))
     rates = np.where(known_nu[3:], value[:, 9:12], body_rates(attitude, slope[:, 3:6]))
-    turn = turns_of(attitude).as_matrix()
+    turn = matrices_of(attitude)
     velocity = _body_velocity(turn, value[:, 6:9], slope[:, :3], known_nu[:3], known_pose[:3])
     travelled = _integral(log.t, np.einsum("tij,tj->ti", turn, velocity))
     position = np.where(known_pose[:3], value[:, :3], travelled * pose_free[:3])
