@@ -1,0 +1,251 @@
+"""Propellers and control surfaces: forces against closed forms and finite differences, files, diagnosis."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.integrate
+
+import jaxmarine as jm
+from jaxmarine import InputError
+from jaxmarine.actuators import KINDS, Flow, Propellers, Surfaces
+from jaxmarine.physics import UNLIMITED, Drive, thrust
+from jaxmarine.vehicle import Input, reach
+
+SHIP = """
+schema = 1
+name = "ship"
+dof = ["surge", "sway", "yaw"]
+[environment]
+density = 1000.0
+[body]
+mass = 160.0
+inertia = [[10, 0, 0], [0, 45, 0], [0, 0, 45]]
+cog = [0, 0, 0]
+cob = [0, 0, 0]
+[added_mass]
+matrix = [8, 110, 0, 0, 0, 30]
+[damping]
+linear = [4, 30, 0, 0, 0, 30]
+quadratic = [12, 160, 0, 0, 0, 60]
+[[propeller]]
+name = "prop"
+position = [-1.4, 0, 0.1]
+direction = [1, 0, 0]
+diameter = 0.15
+kt = [0.29, -0.28, -0.14]
+kt_reverse = [0.2, -0.1, 0.05]
+kq = [0.03, -0.02, -0.01]
+wake_fraction = 0.3
+thrust_deduction = 0.2
+astern_side_force = 0.1
+max_speed = 20.0
+[[surface]]
+name = "rudder"
+position = [-1.5, 0, 0.1]
+axis = [0, 0, -1]
+area = 0.03
+lift_slope = 2.4
+behind = "prop"
+slipstream = {share = 0.9, gain = 0.5, wake_ratio = 1.05}
+hull = {steering_deduction = 0.3, lift_increase = 0.3, lift_position = -0.6, straightening = [0.4, 0.6]}
+max_angle = 0.7
+max_rate = 0.4
+[sensors]
+position = 0.02
+attitude = 0.003
+velocity = 0.01
+rate = 0.003
+"""
+
+
+def read(folder, text: str = SHIP, **more) -> jm.Vehicle:
+    (folder / "craft.toml").write_text(text, encoding="utf-8")
+    return jm.load_vehicle(folder / "craft.toml", **more)
+
+
+@pytest.fixture(scope="module")
+def ship(tmp_path_factory) -> jm.Vehicle:
+    return read(tmp_path_factory.mktemp("ship"))
+
+
+def pushed(vehicle: jm.Vehicle, n: float, delta: float, nu) -> np.ndarray:
+    return np.asarray(vehicle.plant().pushed(jnp.array([n, delta]), jnp.asarray(nu, float)))
+
+
+def by_the_book(n, delta, u, v, r):
+    """X, Y, N as Yasukawa and Yoshimura (2015) write them, with J and alpha."""
+    rho, d, w, t = 1000.0, 0.15, 0.3, 0.2
+    j = (1 - w) * u / (n * d)
+    kt = 0.29 - 0.28 * j - 0.14 * j**2
+    x_prop = (1 - t) * rho * n**2 * d**4 * kt
+    u_r = 1.05 * (1 - w) * u
+    u_r *= np.sqrt(0.9 * (1 + 0.5 * (np.sqrt(1 + 8 * kt / (np.pi * j**2)) - 1)) ** 2 + 0.1)
+    drift = v - 1.5 * r
+    v_r = -(0.4 if drift < 0 else 0.6) * drift
+    alpha = delta - np.arctan2(v_r, u_r)
+    normal = 0.5 * rho * 0.03 * (u_r**2 + v_r**2) * 2.4 * np.sin(alpha)
+    x = x_prop - 0.7 * normal * np.sin(delta)
+    return x, -1.3 * normal * np.cos(delta), -(-1.5 + 0.3 * -0.6) * normal * np.cos(delta)
+
+
+@pytest.mark.parametrize(
+    "motion", [(12.0, 0.3, 0.8, 0.1, 0.2), (9.0, -0.5, 1.1, -0.2, 0.1), (15, 0.1, 0.4, 0, 0)]
+)
+def test_propeller_and_rudder_are_those_of_the_book(ship, motion):
+    n, delta, u, v, r = motion
+    found = pushed(ship, n, delta, [u, v, 0, 0, 0, r])
+    # The root of the mixed squares is smooth below 1 mm/s: one part in 2 u_R² / 1e-6.
+    np.testing.assert_allclose(found[[0, 1, 5]], by_the_book(n, delta, u, v, r), rtol=1e-5)
+
+
+def test_a_propeller_astern(ship):
+    found = pushed(ship, -8.0, 0.0, [-0.5, 0, 0, 0, 0, 0])
+    back = 1000 * 0.15**4 * (0.2 * 64 - 0.1 * 8 * -0.5 / 0.15 + 0.05 * (0.5 / 0.15) ** 2)
+    assert found[0] == pytest.approx(-back)
+    # Without a race the rudder lies in the wake; straight it gives nothing.
+    assert found[1] == pytest.approx(0.1 * back)
+    assert found[5] == pytest.approx(-1.4 * 0.1 * back)
+    # The side force acts below `o`, and the shaft is braked by the water.
+    assert found[3] == pytest.approx(-0.1 * 0.1 * back + 1000 * 0.15**5 * 0.03 * 64)
+
+
+def test_signs(ship):
+    ahead = [1.0, 0, 0, 0, 0, 0]
+    assert pushed(ship, 12.0, 0.2, ahead)[5] > 0 > pushed(ship, 12.0, 0.2, ahead)[1]
+    # In the race a rudder steers at rest; without it, it does not.
+    assert pushed(ship, 12.0, 0.2, np.zeros(6))[5] > 0
+    assert not np.any(pushed(ship, 0.0, 0.2, np.zeros(6)))
+    # A rudder amidships brakes drift and turns.
+    assert pushed(ship, 12.0, 0.0, [1, 0.2, 0, 0, 0, 0])[1] < 0
+    assert pushed(ship, 12.0, 0.0, [1, 0, 0, 0, 0, 0.2])[5] < 0
+
+
+@pytest.mark.parametrize("n", [-5.0, 0.0, 7.0])
+@pytest.mark.parametrize("u", [-0.6, 0.0, 0.9])
+@pytest.mark.parametrize("delta", [0.0, 0.3])
+def test_derivatives_are_finite_and_those_of_differences(ship, n, u, delta):
+    plant = ship.plant()
+
+    def force(x):
+        return plant.pushed(x[:2], x[2:])
+
+    x = np.array([n, delta, u, 0.1, 0, 0, 0, 0.05]) if u else np.array([n, delta, 0, 0, 0, 0, 0, 0])
+    slopes = np.asarray(jax.jacfwd(force)(jnp.asarray(x)))
+    assert np.isfinite(slopes).all()
+    assert np.isfinite(np.asarray(jax.jacrev(force)(jnp.asarray(x)))).all()
+    if not (n and u):
+        return  # on the border between ahead and astern the two sides differ
+    for i in (0, 1, 2, 3, 7):
+        step = 1e-6 * np.eye(8)[i]
+        after, before = (np.asarray(force(jnp.asarray(at))) for at in (x + step, x - step))
+        by_difference = (after - before) / 2e-6
+        np.testing.assert_allclose(slopes[:, i], by_difference, rtol=1e-5, atol=1e-5)
+
+
+def test_a_fin_is_half_rho_a_v_squared_lift_slope(tmp_path):
+    fin = """
+[[surface]]
+name = "fin"
+position = [-0.6, 0.0, 0.2]
+axis = [0.0, 1.0, 0.0]
+area = 0.01
+aspect_ratio = 2.0
+"""
+    craft = read(tmp_path, SHIP[: SHIP.index("[[propeller]]")] + fin)
+    assert craft.command_names == ("fin",)
+    slope, u, w, q = 6.13 * 2 / 4.25, 1.5, 0.2, 0.1
+    found = np.asarray(craft.plant().pushed(jnp.array([0.3]), jnp.array([u, 0, w, 0, q, 0])))
+    # At the fin the water comes from below and ahead; positive deflection about +y lifts the leading edge.
+    here_u, here_w = u + q * 0.2, w - q * -0.6
+    alpha = 0.3 - np.arctan2(-here_w, here_u)
+    normal = 0.5 * 1000 * 0.01 * (here_u**2 + here_w**2) * slope * np.sin(alpha)
+    x, z = -normal * np.sin(0.3), -normal * np.cos(0.3)
+    np.testing.assert_allclose(found, [x, 0, z, 0, 0.2 * x + 0.6 * z, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_limited_rate_is_that_of_small_steps():
+    """Lag and rate limit together, against an integration of state' = clip((goal - state) / lag)."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.05, 0.15, 60))
+    goals = np.repeat(rng.uniform(-0.6, 0.6, (6, 2)), 10, axis=0)
+    lag, rate = np.array([0.0, 0.3]), np.array([0.4, 0.7])
+    one, zero = jnp.ones((60, 2)), jnp.zeros((60, 2))
+    drive = Drive(zero, zero, one, zero, one, zero + lag[None], zero, one, one, rate=zero + rate[None])
+    push = thrust(drive, jnp.asarray(t), jnp.asarray(goals))
+    for i in range(2):
+        state = goals[0, i]
+        for k, dt in enumerate(np.diff(t)):
+            assert push.instant[k, i] == pytest.approx(state, abs=1e-6)
+
+            def slope(_, y, i=i, k=k):
+                away = goals[k, i] - y[0]
+                return [np.clip(away / max(lag[i], 1e-6), -rate[i], rate[i]), y[0]]
+
+            run = scipy.integrate.solve_ivp(slope, (0, dt), [state, 0], method="LSODA", rtol=1e-9, atol=1e-12)
+            assert push.mean[k, i] == pytest.approx(run.y[1, -1] / dt, abs=1e-5)
+            state = run.y[0, -1]
+    free = dataclasses.replace(drive, rate=None)
+    unlimited = dataclasses.replace(drive, rate=zero + UNLIMITED)
+    ways = [thrust(one, jnp.asarray(t), jnp.asarray(goals)) for one in (free, unlimited)]
+    for a, b in zip(*map(jax.tree.leaves, ways), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_files_round_trip(ship, tmp_path):
+    jm.save_vehicle(ship, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert again.command_names == ("prop", "rudder")
+    for a, b in zip(jax.tree.leaves(ship), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert jax.tree.structure(ship) == jax.tree.structure(again)
+
+
+WRONG = {
+    "no propeller": ('behind = "prop"', 'behind = "propp"', "did you mean"),
+    "name twice": ('name = "rudder"', 'name = "prop"', "another actuator's"),
+    "no slope": ("lift_slope = 2.4\n", "", "needs one of `lift_slope`"),
+    "chord along the stock": ("axis = [0, 0, -1]", "axis = [1, 0, 0]", "right angles"),
+    "no diameter": ("diameter = 0.15", "diameter = 0.0", "`propeller[1].diameter`"),
+    "pulls at rest": ("kt = [0.29", "kt = [-0.29", "must begin with a positive number"),
+    "unknown key": ("max_rate = 0.4", "max_rat = 0.4", "max_rat"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_in_one_sentence(tmp_path, case):
+    old, new, told = WRONG[case]
+    assert old in SHIP
+    with pytest.raises(InputError, match=r"craft\.toml") as error:
+        read(tmp_path, SHIP.replace(old, new))
+    assert told.lower() in str(error.value).lower() and "\n" not in str(error.value)
+
+
+def test_reach_is_full_thrust_and_full_rudder(ship):
+    most = reach(ship.plant())
+    assert most[0] > 0.8 * 1000 * 0.15**4 * 0.29 * 400 - 1e-6
+    assert most[1] > 10 and most[5] > 10 and not most[[2, 3, 4]].any()
+
+
+def test_kinds_are_those_of_the_package():
+    assert (Propellers, Surfaces) == KINDS
+    assert [kind.key for kind in KINDS] == ["propeller", "surface"]
+
+
+def test_acceleration_is_that_of_the_forces(ship):
+    """One instant by hand: nothing but propeller and rudder acts on a ship at rest."""
+    plant, state = ship.plant(), jm.initial_state(ship)
+    acting = jnp.array([10.0, 0.4])
+    found = plant.acceleration(state, Input(acting, acting, jnp.zeros(6), jnp.zeros(())))
+    x, y, n = (plant.pushed(acting, jnp.zeros(6))[i] for i in (0, 1, 5))
+    np.testing.assert_allclose(found[jnp.array([0, 1, 5])], [x / 168, y / 270, n / 75], rtol=1e-9)
+
+
+def test_flow_names_its_streams(ship):
+    propellers = ship.actuators[0]
+    flow = Flow(jnp.zeros(6), jnp.asarray(1000.0), {})
+    stream = propellers.streams(jnp.array([10.0]), flow)["prop"]
+    assert stream.inflow == 0.0 and stream.loading == pytest.approx(8 * 0.29 * 100 * 0.15**2 / np.pi)
+    assert propellers.streams(jnp.array([-10.0]), flow)["prop"].loading == 0.0
