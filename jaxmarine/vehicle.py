@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import DOFS, SENSORS, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from ._types import DOFS, SENSORS, Matrix3, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
 from .actuators import AbstractActuators, Flow, joined
 from .effects import (
     CATALOGUE,
@@ -405,7 +405,7 @@ class Plant(eqx.Module):
             + coriolis(0.5 * (load.added + load.added.T), motion.nu_r)
             + damping(self.damping.linear, self.damping.quadratic, motion.nu_r)
             + load.restoring(motion.rotation[2])
-            - self.pushed(drive.thrust, motion.nu_r)
+            - self.pushed(drive.thrust, motion.nu_r, state.velocity, motion.rotation)
             - drive.wrench
         )
         if self.slider is not None and drive.slide is not None:
@@ -414,19 +414,35 @@ class Plant(eqx.Module):
             out = out - effect(motion)
         return out
 
-    def pushed(self, acting: Float[Array, " columns"], nu_r: Velocity) -> Wrench:
+    def pushed(
+        self,
+        acting: Float[Array, " columns"],
+        nu_r: Velocity,
+        nu: Velocity | None = None,
+        turn: Matrix3 | None = None,
+    ) -> Wrench:
         """What thrusters and other actuators give in the flow: wrench at `o`, body axes [N, N m].
 
         - `acting`: thrust [N] before inflow loss, or the state of another actuator, per column of `drive`.
+        - `nu`: velocity over ground, default `nu_r`; `turn`: body to world, default upright and to the north.
         """
         count = self.allocation.shape[-1]
         thrust, inflow = acting[:count], self.drive.inflow[:count]
-        out = apply(self.allocation, thrust * (1.0 - inflow * jnp.abs(apply(self.direction, nu_r[:3]))))
+        thrust = thrust * (1.0 - inflow * jnp.abs(apply(self.direction, nu_r[:3])))
+        out = apply(self.allocation, thrust)
         if not self.actuators:
             return out
         ends = np.cumsum([count, *(len(one.columns) for one in self.actuators)])
         states = [acting[begin:end] for begin, end in itertools.pairwise(ends.tolist())]
-        alone, streams = Flow(nu_r, self.load.density, {}), {}
+        alone = Flow(
+            nu_r=nu_r,
+            density=self.load.density,
+            nu=nu_r if nu is None else nu,
+            rotation=jnp.eye(3) if turn is None else turn,
+            thrust=thrust,
+            streams={},
+        )
+        streams = {}
         for one, state in zip(self.actuators, states, strict=True):
             streams |= one.streams(state, alone)
         flow = dataclasses.replace(alone, streams=streams)

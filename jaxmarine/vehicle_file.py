@@ -20,7 +20,7 @@ from ._errors import InputError
 from ._files import did_you_mean, read_toml, validated, written_whole
 from ._tables import Number, Rows3, Rows6, Table, Triple, finite, unit_direction, usable_name
 from ._types import DOFS
-from .actuators import KINDS, AbstractActuators
+from .actuators import KINDS, AbstractActuators, Swivels
 
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
@@ -115,9 +115,17 @@ class Thruster(Table):
     lag: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     saturation: Number = Field(default=1.0, gt=0, description="a positive number [command]")
+    swivel: Triple | None = Field(
+        default=None, description="[x, y, z], not zero: the axis about which its direction turns"
+    )
 
     _usable_name = pydantic.field_validator("name")(usable_name)
     _unit_direction = pydantic.field_validator("direction")(unit_direction)
+
+    @pydantic.field_validator("swivel")
+    @classmethod
+    def _unit_axis(cls, swivel: Triple | None) -> tuple[float, ...] | None:
+        return None if swivel is None else unit_direction(swivel)
 
 
 class Slider(Table):
@@ -254,7 +262,8 @@ class _VehicleFile(Table):
 
     @pydantic.model_validator(mode="after")
     def _actuators_apart(self) -> "_VehicleFile":
-        tables = [(kind.key, one) for kind in self.kinds for one in getattr(self, kind.key)]
+        several = [kind.key for kind in self.kinds if not kind.single]
+        tables = [(key, one) for key in several for one in getattr(self, key)]
         names = list(self.thruster_names)
         for key, one in tables:
             if one.name in names:
@@ -318,8 +327,14 @@ class _VehicleFile(Table):
     @property
     def actuators(self) -> tuple[AbstractActuators, ...]:
         """Those beside the thrusters, kind by kind."""
-        tables = {kind: getattr(self, kind.key) for kind in self.kinds}
-        return tuple(kind.of(those) for kind, those in tables.items() if those)
+        out: list[AbstractActuators] = []
+        if any(one.swivel is not None for one in self.thruster):
+            out.append(Swivels.of(self.thruster))
+        for kind in self.kinds:
+            those = getattr(self, kind.key)
+            if those:
+                out.append(kind.of([those] if kind.single else those))
+        return tuple(out)
 
     @property
     def drive_names(self) -> tuple[str, ...]:
@@ -385,7 +400,9 @@ def rigid_body(
 def file_model(kinds: tuple[type[AbstractActuators], ...]) -> type["_VehicleFile"]:
     """The vehicle file with tables of these kinds of actuators."""
     fields: dict[str, Any] = {
-        kind.key: (tuple[kind.table, ...], Field(default=(), description=f"tables [[{kind.key}]]"))
+        kind.key: (kind.table | None, Field(default=None, description=f"a table [{kind.key}]"))
+        if kind.single
+        else (tuple[kind.table, ...], Field(default=(), description=f"tables [[{kind.key}]]"))
         for kind in kinds
     }
     model = pydantic.create_model("VehicleFile", __base__=_VehicleFile, **fields)
@@ -432,7 +449,7 @@ def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str]) -> None:
 def _toml(file: VehicleFile) -> str:
     data = file.model_dump(by_alias=True, exclude_none=True)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and value}
-    keys = ("thruster", *(kind.key for kind in file.kinds))
+    keys = ("thruster", *(kind.key for kind in file.kinds if not kind.single))
     entries = [(key, entry) for key in keys for entry in data[key]]
     for entry in data["effect"]:
         parameters = entry.pop("parameters")

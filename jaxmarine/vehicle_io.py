@@ -12,7 +12,7 @@ import numpy as np
 
 from ._errors import InputError
 from ._files import did_you_mean, file_to_hold, validated, written_whole
-from .actuators import KINDS, AbstractActuators
+from .actuators import KINDS, AbstractActuators, Swivels
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .physics import Slider
@@ -231,7 +231,14 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     mass, inertia = float(body.mass), matrix[3:, 3:]
     # Where mass, inertia and cog say it all, a reader who edits them is to change the vehicle.
     told = np.array_equal(matrix, rigid_body(mass, inertia, cog))
-    kinds = tuple(dict.fromkeys((*KINDS, *(type(one) for one in vehicle.actuators))))
+    others = [one for one in vehicle.actuators if not isinstance(one, Swivels)]
+    kinds = tuple(dict.fromkeys((*KINDS, *map(type, others))))
+    axes = {
+        one.names[i]: np.asarray(axis)
+        for one in vehicle.actuators
+        if isinstance(one, Swivels)
+        for i, axis in enumerate(one.axis)
+    }
     file = validated(
         file_model(kinds),
         {
@@ -259,13 +266,14 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                     "position": np.asarray(thrusters.position[i]),
                     "direction": np.asarray(thrusters.direction[i]),
                     **_thruster_numbers(thrusters, i),
+                    "swivel": axes.get(name),
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
             "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "effect": entries,
-            **{one.key: one.tables() for one in vehicle.actuators},
+            **{one.key: one.tables()[0] if one.single else one.tables() for one in others},
         },
         str(path),
     )

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,20 @@ import scipy.integrate
 
 import jaxmarine as jm
 from jaxmarine import InputError
-from jaxmarine.actuators import KINDS, Flow, Propellers, Surfaces
+from jaxmarine._tables import Number, Table
+from jaxmarine.actuators import KINDS, AbstractActuators, Flow, servo
+from jaxmarine.effects import (
+    ActuatorEffect,
+    ConstantWrench,
+    LinearDamping,
+    SurfaceGain,
+    SurfaceOffset,
+    SurfaceStuck,
+    Suspect,
+    ThrusterGain,
+    Wake,
+)
+from jaxmarine.examples import hidden
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
 
@@ -229,11 +243,6 @@ def test_reach_is_full_thrust_and_full_rudder(ship):
     assert most[1] > 10 and most[5] > 10 and not most[[2, 3, 4]].any()
 
 
-def test_kinds_are_those_of_the_package():
-    assert (Propellers, Surfaces) == KINDS
-    assert [kind.key for kind in KINDS] == ["propeller", "surface"]
-
-
 def test_acceleration_is_that_of_the_forces(ship):
     """One instant by hand: nothing but propeller and rudder acts on a ship at rest."""
     plant, state = ship.plant(), jm.initial_state(ship)
@@ -245,7 +254,230 @@ def test_acceleration_is_that_of_the_forces(ship):
 
 def test_flow_names_its_streams(ship):
     propellers = ship.actuators[0]
-    flow = Flow(jnp.zeros(6), jnp.asarray(1000.0), {})
+    flow = Flow(jnp.zeros(6), jnp.asarray(1000.0), jnp.zeros(6), jnp.eye(3), jnp.zeros(0), {})
     stream = propellers.streams(jnp.array([10.0]), flow)["prop"]
     assert stream.inflow == 0.0 and stream.loading == pytest.approx(8 * 0.29 * 100 * 0.15**2 / np.pi)
     assert propellers.streams(jnp.array([-10.0]), flow)["prop"].loading == 0.0
+
+
+FEW = (
+    SurfaceGain,
+    SurfaceOffset,
+    SurfaceStuck,
+    Wake,
+    ThrusterGain,
+    ConstantWrench,
+    LinearDamping,
+)
+HIDDEN = {
+    "offset": ("surface_offset", "rudder", {"angle": 0.06}),
+    "stuck": ("surface_stuck", "rudder", {"angle": -0.1}),
+    "weak": ("surface_gain", "rudder", {"factor": 0.6}),
+    "propeller": ("thruster_gain", "prop", {"factor": 0.8}),
+    "wake": ("wake", "prop", {"fraction": 0.25}),
+}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=() if case == "offset" else pytest.mark.slow) for case in HIDDEN]
+)
+def test_what_is_hidden_in_propeller_and_rudder_is_found(ship, case):
+    effect, target, values = HIDDEN[case]
+    logs = hidden(ship, effect, target, values, (60.0, 40.0))
+    found = jm.diagnose(ship, *logs, catalogue=FEW)
+    assert [finding.label for finding in found.findings] == [f"{effect}:{target}"]
+    for name, parameter in found.findings[0].parameters.items():
+        assert parameter.value == pytest.approx(values[name], abs=4 * parameter.std + 1e-3)
+    assert found.verdict == "explained"
+
+
+BARE = SHIP[: SHIP.index("[[propeller]]")] + SHIP[SHIP.index("[sensors]") :]
+
+
+def test_drag_across_the_flow_is_that_of_strips(tmp_path):
+    craft = read(tmp_path, BARE + "[cross_flow]\nlength = 3.0\ndraft = 0.2\ncoefficient = 0.6\n")
+    assert craft.command_names == ()
+    x = np.linspace(-1.5, 1.5, 20001)
+    for v, r in ((0.3, 0.1), (-0.2, 0.4), (0.0, 0.3), (0.4, 0.0)):
+        across = v + x * r
+        strips = -0.5 * 1000 * 0.2 * 0.6 * np.abs(across) * across
+        found = np.asarray(craft.plant().pushed(jnp.zeros(0), jnp.array([1.0, v, 0, 0, 0, r])))
+        by_strips = [np.trapezoid(strips, x), np.trapezoid(strips * x, x)]
+        np.testing.assert_allclose(found[[1, 5]], by_strips, rtol=0.01, atol=1e-3)
+        assert not found[[0, 2, 3, 4]].any()
+
+
+WIND = """
+[wind]
+frontal_area = 0.4
+lateral_area = 1.2
+length = 3.0
+centre = [0.2, -0.5]
+surge = [-0.6]
+sway = [-0.8, 0.1]
+yaw = [-0.05]
+"""
+
+
+def test_wind_pushes_where_it_blows(tmp_path):
+    craft = read(tmp_path, BARE + WIND)
+    assert craft.command_names == ("wind_speed", "wind_direction")
+    plant, heading = craft.plant(), 0.7
+    turn = jnp.array(
+        [[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
+    )
+    nu = jnp.array([1.0, 0.2, 0, 0, 0, 0])
+    found = np.asarray(plant.pushed(jnp.array([6.0, 2.0]), nu, nu, turn))
+    # Apparent: the wind's own velocity less the craft's, both in body axes, and where that comes from.
+    blows = -6.0 * np.array([np.cos(2.0 - heading), np.sin(2.0 - heading)]) - np.array([1.0, 0.2])
+    angle, size = np.arctan2(-blows[1], -blows[0]), 0.5 * 1.225 * (blows @ blows)
+    x = size * 0.4 * -0.6 * np.cos(angle)
+    y = size * 1.2 * (-0.8 * np.sin(angle) + 0.1 * np.sin(2 * angle))
+    n = size * 1.2 * 3.0 * -0.05 * np.sin(angle) + 0.2 * y
+    np.testing.assert_allclose(found, [x, y, 0, 0.5 * y, -0.5 * x, n], rtol=1e-9)
+    slopes = jax.jacfwd(lambda nu: plant.pushed(jnp.zeros(2), nu, nu, turn))(jnp.zeros(6))
+    assert np.isfinite(np.asarray(slopes)).all()
+
+
+AZIMUTH = """
+[[thruster]]
+name = "pod"
+position = [-1.4, 0.3, 0.1]
+direction = [1, 0, 0]
+max_thrust = 50.0
+lag = 0.2
+swivel = [0, 0, 1]
+[[thruster]]
+name = "bow"
+position = [1.2, 0, 0.1]
+direction = [0, 1, 0]
+max_thrust = 20.0
+"""
+
+
+def test_a_thruster_swivels(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    assert craft.command_names == ("pod", "bow", "pod_angle")
+    found = np.asarray(craft.plant().pushed(jnp.array([40.0, 10.0, 0.5]), jnp.zeros(6)))
+    x, y = 40 * np.cos(0.5), 40 * np.sin(0.5)
+    # Clockwise from above about an axis that points down: to starboard.
+    np.testing.assert_allclose(found[[0, 1, 5]], [x, y + 10, -1.4 * y - 0.3 * x + 12], rtol=1e-9)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.structure(again) == jax.tree.structure(craft)
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
+def test_a_propeller_swivels(tmp_path):
+    craft = read(tmp_path, SHIP.replace("max_speed = 20.0", "max_speed = 20.0\nswivel = [0, 0, 1]"))
+    assert craft.command_names == ("prop", "prop_angle", "rudder")
+    straight = np.asarray(craft.plant().pushed(jnp.array([10.0, 0.0, 0.0]), jnp.zeros(6)))
+    turned = np.asarray(craft.plant().pushed(jnp.array([10.0, 0.4, 0.0]), jnp.zeros(6)))
+    np.testing.assert_allclose(turned[:2], straight[0] * np.array([np.cos(0.4), np.sin(0.4)]), rtol=1e-9)
+
+
+class FlapTable(Table):
+    """A flap that brakes by its opening."""
+
+    name: str
+    drag: Number
+
+
+class Flaps(AbstractActuators):
+    """One's own kind, in one place: X = -drag opening² u |u|."""
+
+    key = "flap"
+    title = "Brake flaps"
+    table = FlapTable
+
+    drag: jax.Array
+    delay: jax.Array
+    lag: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, tables):
+        zero = jnp.zeros(len(tables))
+        return cls(
+            jnp.array([one.drag for one in tables]), zero, zero + 0.3, tuple(one.name for one in tables)
+        )
+
+    def tables(self):
+        return [{"name": n, "drag": float(d)} for n, d in zip(self.names, self.drag, strict=True)]
+
+    @property
+    def columns(self):
+        return self.names
+
+    @property
+    def limits(self):
+        return np.ones(len(self.names))
+
+    @property
+    def usual(self):
+        return np.outer(np.ones(len(self.names)), [0.0, 1.0])
+
+    def servo(self):
+        return servo(jnp.ones(len(self.names)), self.delay, self.lag)
+
+    def streams(self, state, flow):
+        return {}
+
+    def wrench(self, state, flow):
+        u = flow.nu_r[0]
+        return jnp.zeros(6).at[0].set(-(self.drag * state**2).sum() * u * jnp.abs(u))
+
+
+class FlapLoose(ActuatorEffect):
+    """A flap brakes `factor` times as much. Neutral: 1."""
+
+    name = "flap_loose"
+    units = {"factor": "1"}
+    factor: jax.Array
+
+    @classmethod
+    def neutral(cls, craft):
+        return cls(jnp.ones(()))
+
+    @classmethod
+    def suspects(cls, craft):
+        there = any(isinstance(one, Flaps) for one in craft.actuators)
+        return (Suspect(cls, None, {"factor": (0,)}),) if there else ()
+
+    def changed(self, actuators):
+        if not isinstance(actuators, Flaps):
+            return actuators
+        return dataclasses.replace(actuators, drag=actuators.drag * self.factor)
+
+
+def test_a_kind_of_ones_own_is_read_and_driven(tmp_path):
+    text = SHIP + '[[flap]]\nname = "brake"\ndrag = 40.0\n'
+    with pytest.raises(InputError, match="flap"):
+        read(tmp_path, text)
+    craft = read(tmp_path, text, kinds=(*KINDS, Flaps))
+    assert craft.command_names == ("prop", "rudder", "brake")
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml", kinds=(*KINDS, Flaps))
+    assert jax.tree.structure(again) == jax.tree.structure(craft)
+    t = np.arange(0, 60, 0.1)
+    runs = {}
+    for opened in (0.0, 0.8):
+        commands = np.stack([np.full_like(t, 12.0), 0 * t, np.where(t > 40, opened, 0.0)], axis=1)
+        log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, craft.command_names, "log")
+        runs[opened] = np.asarray(jm.simulate(craft, log, jm.initial_state(craft))["u"])
+    np.testing.assert_array_equal(runs[0.0][:400], runs[0.8][:400])
+    assert runs[0.8][-1] < 0.8 * runs[0.0][-1]
+
+
+@pytest.mark.slow
+def test_a_kind_of_ones_own_is_diagnosed(tmp_path):
+    craft = read(tmp_path, SHIP + '[[flap]]\nname = "brake"\ndrag = 40.0\n', kinds=(*KINDS, Flaps))
+    catalogue = (SurfaceGain, ThrusterGain, LinearDamping, FlapLoose)
+    logs = hidden(craft, "flap_loose", None, {"factor": 0.5}, (60.0, 40.0), catalogue=catalogue)
+    found = jm.diagnose(craft, *logs, catalogue=catalogue)
+    assert [finding.label for finding in found.findings] == ["flap_loose"]
+    parameter = found.findings[0].parameters["factor"]
+    assert parameter.value == pytest.approx(0.5, abs=4 * parameter.std)
+    jm.write_report(found, tmp_path / "report")
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert "Brake flaps" in page and "flap loose" in page.lower()

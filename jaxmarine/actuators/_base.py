@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._tables import Table
-from .._types import Scalar, Velocity, Wrench
+from .._types import Matrix3, Scalar, Velocity, Wrench
 from ..physics import UNLIMITED, Curve, Drive
 
 
@@ -36,11 +36,16 @@ class Flow(eqx.Module):
     """The water as actuators see it.
 
     - `nu_r`: velocity of the vehicle through the water at `o`, body axes [m/s, rad/s]; `density` [kg/m³].
+    - `nu`: over ground; `rotation`: body to world.
+    - `thrust`: of the fixed thrusters, and of those that swivel as if they did not [N].
     - `streams`: behind propellers, by their names.
     """
 
     nu_r: Velocity
     density: Scalar
+    nu: Velocity
+    rotation: Matrix3
+    thrust: Float[Array, " thrusters"]
     streams: dict[str, Stream]
 
 
@@ -51,6 +56,7 @@ class AbstractActuators(eqx.Module):
     """
 
     key: ClassVar[str]  # of their tables [[key]] in a vehicle file
+    single: ClassVar[bool] = False  # it has one table [key] in all
     title: ClassVar[str]  # of their row in a report
     table: ClassVar[type[Table]]  # what such a table may say
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .._compiled import compiled
 from ..logs import Log, StateTrack
-from ..physics import from_euler, thrust
+from ..physics import from_euler, rotation, thrust
 from ..vehicle import Input, Plant, State, Vehicle, reach
 
 # An acceleration is read over this time on either side [s].
@@ -82,14 +82,20 @@ def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
         still = jnp.zeros(commands.shape[1])
         # What the others give at rest and zero speed of shafts is theirs, not the hull's.
         rest = plant.balance(state, nu_dot, Input(still, still, jnp.zeros(6), t))
-        return rest + plant.pushed(still, plant.relative(state.attitude, nu)) if plant.actuators else rest
+        if not plant.actuators:
+            return rest
+        return rest + plant.pushed(still, plant.relative(state.attitude, nu), nu, rotation(state.attitude))
 
     mean = thrust(drive, t, commands).mean
     if plant.actuators:
         # Without the loss by inflow, as that of thrusters; these hang on the flow by what they are.
         free = eqx.tree_at(lambda p: p.drive.inflow, plant, jnp.zeros(commands.shape[1]))
-        flow = jax.vmap(lambda a, v: plant.relative(from_euler(a), v))(attitude, nu)
-        given = jax.vmap(free.pushed)(mean, flow)
+
+        def pushed(acting, attitude, nu):
+            turn = from_euler(attitude)
+            return free.pushed(acting, plant.relative(turn, nu), nu, rotation(turn))
+
+        given = jax.vmap(pushed)(mean, attitude, nu)
     else:
         given = mean @ plant.allocation.T
     return given, jax.vmap(needed)(position, attitude, nu, nu_dot, t)

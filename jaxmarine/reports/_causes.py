@@ -286,22 +286,23 @@ def _factor_of_thrust(f: Finding, when: str) -> str:
 
 
 def _surface_gain(f: Finding, v: Vehicle) -> str:
-    who = "all control surfaces give" if f.target == "all" else f"`{f.target}` gives"
+    who = "all control surfaces give" if f.target == "all" else f"surface `{f.target}` gives"
     text = f"{who} {_pm(f, 'factor')} times the force of the file"
     return f"{text}: it acts the wrong way" if _value(f, "factor") < 0 else text
 
 
 def _degrees(f: Finding, name: str) -> str:
     """An angle with its sign, and what is known of it."""
-    return f"{plus_minus(*(math.degrees(x) for x in (f.parameters[name].value, f.parameters[name].std)))}°"
+    angle = f.parameters[name]
+    return f"{plus_minus(math.degrees(angle.value), math.degrees(angle.std))}°"
 
 
 def _surface_offset(f: Finding, v: Vehicle) -> str:
-    return f"`{f.target}` stands {_degrees(f, 'angle')} beside its command"
+    return f"surface `{f.target}` stands {_degrees(f, 'angle')} beside its command"
 
 
 def _surface_stuck(f: Finding, v: Vehicle) -> str:
-    return f"`{f.target}` is stuck at {_degrees(f, 'angle')}, whatever is commanded"
+    return f"surface `{f.target}` is stuck at {_degrees(f, 'angle')}, whatever is commanded"
 
 
 def _surface_lag(f: Finding, v: Vehicle) -> str:
