@@ -1,4 +1,4 @@
-"""Stage actuator: propellers and control surfaces that are not as the file has them."""
+"""Stage actuator: propellers, control surfaces, the hull across the flow and the wind are not as filed."""
 
 import dataclasses
 import math
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import Scalar
-from ..actuators import FREE, AbstractActuators, Propellers, Surfaces
-from ._base import ActuatorEffect, Craft, Suspect, scalar, zeros
+from ..actuators import FREE, AbstractActuators, CrossFlow, Propellers, Surfaces, Wind
+from ._base import ActuatorEffect, Craft, Suspect, free, scalar, zeros
 
 
 def all_of(craft: Craft, kind: type[AbstractActuators]) -> Any:
@@ -215,3 +215,68 @@ class Wake(ActuatorEffect):
         if not isinstance(actuators, Propellers):
             return actuators
         return dataclasses.replace(actuators, wake_fraction=actuators.wake_fraction + self.fraction)
+
+
+class CrossFlowDrag(ActuatorEffect):
+    """The drag coefficient of the hull's sections is `coefficient` more than the file says. Neutral: 0.
+
+    Source: Fossen (2021), sec. 6.4 (strip theory); Hoerner (1965), the coefficient by beam and draft.
+    """
+
+    name = "cross_flow_drag"
+    units = {"coefficient": "1"}
+    confused_with = ("quadratic_damping:sway", "quadratic_damping:yaw", "hull_lift")
+    shown_by = "turns and sideways motion at low speed"
+    advice = "the hull drags more or less across the flow than the file says: keel, bilge, draft, fouling"
+
+    coefficient: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        there = all_of(craft, CrossFlow) is not None and free(craft, "sway", "yaw")
+        return (Suspect(cls, None, {"coefficient": (0,)}),) if there else ()
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, CrossFlow):
+            return actuators
+        return dataclasses.replace(actuators, coefficient=actuators.coefficient + self.coefficient[None])
+
+
+class WindLoad(ActuatorEffect):
+    """The first harmonics of the wind's coefficients are `surge`, `sway` and `yaw` more. Neutral: 0.
+
+    Source: Blendermann (1994); Isherwood (1972).
+    """
+
+    name = "wind"
+    units = {"surge": "1", "sway": "1", "yaw": "1"}
+    confused_with = ("constant_wrench", "steady_current")
+    shown_by = "several headings in the wind"
+    advice = "the wind pushes more or less than the file says: look at deck load, masts and the wind sensor"
+
+    surge: Scalar
+    sway: Scalar
+    yaw: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(), scalar(), scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        if all_of(craft, Wind) is None:
+            return ()
+        slots = {dof: (i,) for i, dof in enumerate(cls.units) if dof in craft.dof}
+        return (Suspect(cls, None, slots),) if slots else ()
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Wind):
+            return actuators
+        more = {dof: getattr(actuators, dof).at[0].add(getattr(self, dof)) for dof in self.units}
+        return dataclasses.replace(actuators, **more)

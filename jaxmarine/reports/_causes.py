@@ -39,6 +39,8 @@ _TITLES = {
     "exchanged_thrusters": "exchanged columns of commands",
     "surface_lag": "lag of the control surfaces",
     "surface_rate": "rate of the control surfaces",
+    "cross_flow_drag": "drag across the flow",
+    "wind": "load of the wind",
 }
 _AXIS_TITLES = {
     "added_mass": "added mass in {}",
@@ -319,6 +321,14 @@ def _wake(f: Finding, v: Vehicle) -> str:
     return f"the wake fraction of `{f.target}` is that of the file plus {fraction}"
 
 
+def _cross_flow_drag(f: Finding, v: Vehicle) -> str:
+    return f"the hull's drag coefficient across the flow is that of the file plus {_pm(f, 'coefficient')}"
+
+
+def _wind(f: Finding, v: Vehicle) -> str:
+    return f"the wind pushes otherwise than the file says (first harmonics plus {_listed(f)})"
+
+
 def _thrust_curve(f: Finding, v: Vehicle) -> str:
     half = percent(1.0 - _value(f, "quadratic") / 2)
     return (
@@ -444,6 +454,8 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "surface_lag": _surface_lag,
     "surface_rate": _surface_rate,
     "wake": _wake,
+    "cross_flow_drag": _cross_flow_drag,
+    "wind": _wind,
     "thrust_curve": _thrust_curve,
     "thruster_lag": _thruster_lag,
     "input_delay": _input_delay,
