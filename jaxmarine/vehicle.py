@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import DOFS, SENSORS, Matrix3, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
-from .actuators import AbstractActuators, Flow, joined
+from .actuators import AbstractActuators, Flow, Supply, joined
 from .effects import (
     CATALOGUE,
     AbstractEffect,
@@ -429,11 +429,14 @@ class Plant(eqx.Module):
         count = self.allocation.shape[-1]
         thrust, inflow = acting[:count], self.drive.inflow[:count]
         thrust = thrust * (1.0 - inflow * jnp.abs(apply(self.direction, nu_r[:3])))
-        out = apply(self.allocation, thrust)
         if not self.actuators:
-            return out
+            return apply(self.allocation, thrust)
         ends = np.cumsum([count, *(len(one.columns) for one in self.actuators)])
         states = [acting[begin:end] for begin, end in itertools.pairwise(ends.tolist())]
+        for one, state in zip(self.actuators, states, strict=True):
+            if isinstance(one, Supply):
+                thrust = one.supplied(thrust, state)
+        out = apply(self.allocation, thrust)
         alone = Flow(
             nu_r=nu_r,
             density=self.load.density,

@@ -20,7 +20,7 @@ from ._errors import InputError
 from ._files import did_you_mean, read_toml, validated, written_whole
 from ._tables import Number, Rows3, Rows6, Table, Triple, finite, unit_direction, usable_name
 from ._types import DOFS
-from .actuators import KINDS, AbstractActuators, Swivels
+from .actuators import KINDS, AbstractActuators, Supply, Swivels
 
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
@@ -117,6 +117,12 @@ class Thruster(Table):
     saturation: Number = Field(default=1.0, gt=0, description="a positive number [command]")
     swivel: Triple | None = Field(
         default=None, description="[x, y, z], not zero: the axis about which its direction turns"
+    )
+    nominal_voltage: Number | None = Field(
+        default=None, gt=0, description="a positive number, the battery's at which it gives max_thrust [V]"
+    )
+    voltage_exponent: Number = Field(
+        default=1.0, description="a number", exclude_if=lambda exponent: exponent == 1.0
     )
 
     _usable_name = pydantic.field_validator("name")(usable_name)
@@ -330,6 +336,8 @@ class _VehicleFile(Table):
         out: list[AbstractActuators] = []
         if any(one.swivel is not None for one in self.thruster):
             out.append(Swivels.of(self.thruster))
+        if any(one.nominal_voltage is not None for one in self.thruster):
+            out.append(Supply.of(self.thruster))
         for kind in self.kinds:
             those = getattr(self, kind.key)
             if those:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ._errors import InputError
 from ._files import did_you_mean, file_to_hold, validated, written_whole
-from .actuators import KINDS, AbstractActuators, Swivels
+from .actuators import KINDS, AbstractActuators, Supply, Swivels
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .physics import Slider
@@ -231,7 +231,8 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     mass, inertia = float(body.mass), matrix[3:, 3:]
     # Where mass, inertia and cog say it all, a reader who edits them is to change the vehicle.
     told = np.array_equal(matrix, rigid_body(mass, inertia, cog))
-    others = [one for one in vehicle.actuators if not isinstance(one, Swivels)]
+    others = [one for one in vehicle.actuators if not isinstance(one, Swivels | Supply)]
+    supply = next((one for one in vehicle.actuators if isinstance(one, Supply)), None)
     kinds = tuple(dict.fromkeys((*KINDS, *map(type, others))))
     axes = {
         one.names[i]: np.asarray(axis)
@@ -267,6 +268,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                     "direction": np.asarray(thrusters.direction[i]),
                     **_thruster_numbers(thrusters, i),
                     "swivel": axes.get(name),
+                    **({} if supply is None else supply.of_thruster(name)),
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.integrate
 
@@ -23,10 +24,13 @@ from jaxmarine.effects import (
     Suspect,
     ThrusterGain,
     Wake,
+    place,
 )
 from jaxmarine.examples import hidden
+from jaxmarine.networks import learned_thrust
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
+from jaxmarine.vehicle_io import suspect_named
 
 SHIP = """
 schema = 1
@@ -368,6 +372,18 @@ def test_a_thruster_swivels(tmp_path):
     assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
 
 
+def test_thrust_goes_with_the_battery(tmp_path):
+    supplied = AZIMUTH.replace("lag = 0.2", "nominal_voltage = 16.0\nvoltage_exponent = 1.5")
+    craft = read(tmp_path, BARE + supplied)
+    assert craft.command_names == ("pod", "bow", "pod_angle", "battery")
+    found = np.asarray(craft.plant().pushed(jnp.array([40.0, 10.0, 0.5, 14.0]), jnp.zeros(6)))
+    push = 40 * (14 / 16) ** 1.5
+    np.testing.assert_allclose(found[:2], [push * np.cos(0.5), push * np.sin(0.5) + 10], rtol=1e-9)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
 def test_a_propeller_swivels(tmp_path):
     craft = read(tmp_path, SHIP.replace("max_speed = 20.0", "max_speed = 20.0\nswivel = [0, 0, 1]"))
     assert craft.command_names == ("prop", "prop_angle", "rudder")
@@ -481,3 +497,51 @@ def test_a_kind_of_ones_own_is_diagnosed(tmp_path):
     jm.write_report(found, tmp_path / "report")
     page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
     assert "Brake flaps" in page and "flap loose" in page.lower()
+
+
+def test_a_craft_of_all_kinds_is_driven(tmp_path):
+    """Thrusters, one of which swivels, beside propeller, rudder and wind: every column acts on its own."""
+    craft = read(tmp_path, SHIP + AZIMUTH + WIND)
+    names = ("pod", "bow", "pod_angle", "prop", "rudder", "wind_speed", "wind_direction")
+    assert craft.command_names == names
+    learned = jm.Placed(learned_thrust(craft.thruster_names, -np.ones(2), np.ones(2)))
+    base = np.array([0.5, 0.2, 0.3, 10.0, 0.2, 4.0, 1.0])
+
+    def end(vehicle, commands) -> np.ndarray:
+        t = np.arange(0, 5, 0.1)
+        log = jm.Log(t, np.full((50, 18), np.nan), np.tile(commands, (50, 1)), None, names, "log")
+        return np.asarray(jm.simulate(vehicle, log, jm.initial_state(vehicle)).channels)[-1, :12]
+
+    as_filed = end(craft, base)
+    # Networks without weight change nothing, whatever stands beside the thrusters.
+    np.testing.assert_allclose(end(craft.place(learned), base), as_filed, rtol=1e-12)
+    for i in range(len(names)):
+        changed = end(craft, base * (1 - 0.5 * np.eye(len(names))[i]))
+        assert np.abs(changed - as_filed).max() > 1e-4, names[i]
+    weak = place(suspect_named(craft, "thruster_gain", "all"), craft, {"factor": 0.0})
+    none = end(craft.place(jm.Placed(weak, "all")), base * [1, 1, 1, 1, 1, 0, 1])
+    assert np.abs(none).max() < 1e-9
+
+
+def test_a_log_beyond_the_limits_is_refused(ship):
+    t = np.arange(0, 3, 0.1)
+    table = {"t": t, **dict.fromkeys(("u", "v", "r"), 0 * t), "prop": 0 * t + 12.0, "rudder": 0 * t}
+    assert jm.read_log(pd.DataFrame(table), ship).commands[0].tolist() == [12.0, 0.0]
+    for name, value in (("prop", 21.0), ("rudder", 20.0)):
+        with pytest.raises(InputError, match=f"`{name}` is {value:g}"):
+            jm.read_log(pd.DataFrame(table | {name: 0 * t + value}), ship)
+    with pytest.raises(InputError, match="rudder"):
+        jm.read_log(pd.DataFrame({key: table[key] for key in table if key != "rudder"}), ship)
+
+
+NAMED = ["propeller.wake_fraction[prop]", "surface.lift_slope[rudder]"]
+
+
+def test_numbers_of_propeller_and_rudder_are_fitted(ship):
+    train, _ = hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))
+    wrong = eqx.tree_at(lambda v: v.actuators[1].lift_slope, ship, jnp.array([3.2]))
+    wrong = eqx.tree_at(lambda v: v.actuators[0].wake_fraction, wrong, jnp.array([0.1]))
+    fit = jm.fit(wrong, train, lambda v: (v.actuators[0].wake_fraction, v.actuators[1].lift_slope))
+    assert [p.name for p in fit.parameters] == NAMED
+    for parameter, truth in zip(fit.parameters, (0.3, 2.4), strict=True):
+        assert parameter.value == pytest.approx(truth, abs=4 * parameter.std_model)

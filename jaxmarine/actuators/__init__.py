@@ -15,6 +15,7 @@ from ._base import servo as servo
 from ._base import stacked as stacked
 from ._cross_flow import CrossFlow as CrossFlow
 from ._propeller import Propellers as Propellers
+from ._supply import Supply as Supply
 from ._surface import FREE as FREE
 from ._surface import Surfaces as Surfaces
 from ._swivel import Swivels as Swivels
