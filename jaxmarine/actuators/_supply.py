@@ -20,8 +20,8 @@ _MOST, _LEAST = 1e4, 1e-3
 class Supply(AbstractActuators):
     """Thrust goes with (battery / `nominal`) to the power `exponent`; the column `battery` [V] is logged.
 
-    They are keys of the thrusters' tables; `places` says which thrusters they are. Source: the speed of a motor
-    goes with its voltage, and thrust with a power of that from one to two; Fossen (2021), sec. 9.1.
+    They are keys of the thrusters' tables; `places` says which thrusters they are. Source: a motor turns with
+    its voltage, and thrust goes with a power of that from one to two; Fossen (2021), sec. 9.1.
     """
 
     key: ClassVar[str] = "battery"
