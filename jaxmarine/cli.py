@@ -380,8 +380,17 @@ _FREE = {
     "thrust": lambda v: v.thrusters.max_thrust,
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
+    "propeller": lambda v: tuple(
+        (one.kt, one.wake_fraction) for one in v.actuators if one.key == "propeller"
+    ),
+    "surface": lambda v: tuple(one.lift_slope for one in v.actuators if one.key == "surface"),
+    "cross_flow": lambda v: tuple(one.coefficient for one in v.actuators if one.key == "cross_flow"),
 }
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
+_OF_ACTUATORS = ("propeller", "surface", "cross_flow")
+# Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
+_ALL = ("damping", "added_mass", "thrust", *_OF_ACTUATORS)
+_ALL_PRIOR = 0.3
 
 
 @app.command(
@@ -394,7 +403,8 @@ def fit(
         list[str],
         typer.Option(
             "--free",
-            help=f"What is fitted: {', '.join(_FREE)}, or an effect, EFFECT[:TARGET]; repeat for several.",
+            help=f"What is fitted: {', '.join(_FREE)}, or an effect, EFFECT[:TARGET], or all; repeat for "
+            "several.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
@@ -405,6 +415,7 @@ def fit(
     columns: ColumnsOption = None,
 ) -> None:
     """Fits coefficients that the vehicle file has (diagonal entries), and effects, by the trajectory loss."""
+    every = free == ["all"]
     if len(set(free)) < len(free) or ("damping" in free and {"linear", "quadratic"} & {*free}):
         raise InputError(
             "--free: names a coefficient twice (`damping` is `linear` and `quadratic`); once will do."
@@ -418,16 +429,23 @@ def fit(
 
     effects = {effect.name for effect in CATALOGUE}
     unknown = [name for name in free if name not in _FREE and name.partition(":")[0] not in effects]
+    unknown = [] if every else unknown
     if unknown:
         raise InputError(
-            f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}, or take an effect of the "
-            "catalogue, such as `turning_lift` or `thruster_gain:all`."
+            f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}, take an effect of the "
+            "catalogue, such as `turning_lift` or `thruster_gain:all`, or all alone."
         )
     _file(out)
     craft = load_vehicle(vehicle)
-    useless = [] if craft.thruster_names else [name for name in free if name in _OF_THRUSTERS]
+    has = {one.key for one in craft.actuators}
+    lacks = {name for name in _OF_ACTUATORS if name not in has}
+    lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
+    if every:
+        free, prior = [name for name in _ALL if name not in lacks], prior or _ALL_PRIOR
+    useless = [name for name in free if name in lacks]
     if useless:
-        raise InputError(f"--free {useless[0]}: {craft.name} has no thrusters; free something else.")
+        what = "thrusters" if useless[0] in _OF_THRUSTERS else f"{useless[0].replace('_', ' ')}"
+        raise InputError(f"--free {useless[0]}: {craft.name} has no {what}; free something else.")
     chosen = [_FREE[name] for name in free if name in _FREE]
     for name in free:
         if name not in _FREE:

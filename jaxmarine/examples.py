@@ -14,9 +14,12 @@ from .simulation import initial_state, simulate
 from .vehicle import Placed, Vehicle
 from .vehicle_io import suspect_named
 
+# Of an operator at the sticks, as a share of full commands.
+STRENGTH = 0.6
+
 
 def operator(
-    count: int, t: Float[np.ndarray, " times"], seed: int, strength: float = 0.6
+    count: int, t: Float[np.ndarray, " times"], seed: int, strength: float = STRENGTH
 ) -> Float[np.ndarray, "times thrusters"]:
     """Commands of an operator who holds each stick for some seconds and slews within 0.3 s (thesis 5.3.1).
 
@@ -37,6 +40,20 @@ def operator(
     for i in range(0, count - 1, 2):
         pairs[i : i + 2, i : i + 2] = [[0.7, 0.3], [0.7, -0.3]]
     return np.clip(strength * sticks @ pairs.T, -1.0, 1.0)
+
+
+def operated(
+    vehicle: Vehicle, t: Float[np.ndarray, " times"], seed: int
+) -> Float[np.ndarray, "times columns"]:
+    """Commands of an operator for all columns: those of thrusters as shares, others in their usual range."""
+    commands = operator(len(vehicle.command_names), t, seed)
+    at = len(vehicle.thruster_names)
+    for one in vehicle.actuators:
+        low, high = one.usual.T
+        stick = 0.5 + 0.5 * commands[:, at : at + len(low)] / STRENGTH
+        commands[:, at : at + len(low)] = low + (high - low) * np.clip(stick, 0.0, 1.0)
+        at += len(low)
+    return commands
 
 
 def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
@@ -72,6 +89,6 @@ def hidden(
     logs = []
     for i, (length, name) in enumerate(zip(duration, ("train.csv", "test.csv"), strict=True)):
         t = np.arange(0.0, length, 0.1)
-        commands = operator(len(vehicle.command_names), t, seed + 2 * i)
+        commands = operated(vehicle, t, seed + 2 * i)
         logs.append(recorded(plant, commands, t, seed + 2 * i + 1, name))
     return logs[0], logs[1]

@@ -1,6 +1,6 @@
 """The vehicle: the stages in order, forward and inverse dynamics.
 
-    command -> thruster -> water -> inertia -> wrench -> sensor
+    command -> actuator -> water -> inertia -> wrench -> sensor
 
 `Vehicle` is what the file says plus the effects placed in it. `Plant` is the vehicle at one time,
 when each effect either acts or does not yet, with its masses summed and inverted. All equations of
@@ -8,6 +8,7 @@ motion stand on `Plant.balance`, the inverse dynamics.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -16,10 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._types import DOFS, SENSORS, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from ._types import DOFS, SENSORS, Matrix3, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from .actuators import AbstractActuators, Flow, Supply, joined
 from .effects import (
     CATALOGUE,
     AbstractEffect,
+    ActuatorEffect,
     DriveEffect,
     ExchangedThrusters,
     FluidMemory,
@@ -47,6 +50,8 @@ from .physics import (
     to_euler,
 )
 
+# Beyond the speed of any vessel that is driven by propellers [m/s].
+_FASTEST = 40.0
 _ORDER = {effect: place for place, effect in enumerate(CATALOGUE)}
 
 
@@ -73,17 +78,20 @@ class State(eqx.Module):
 
 
 class Input(eqx.Module):
-    """What drives the vehicle: thrust [N] before inflow loss, commands, a wrench, the time [s].
+    """What drives the vehicle: what acts, commands, a wrench, the time [s].
+
+    `thrust` is that of thrusters [N] before inflow loss and, behind them, the state of other actuators:
+    shaft speed, angle, deflection.
 
     Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `slide` is
     the motion of a sliding mass; None: it rests where the file has it.
     """
 
-    thrust: Float[Array, " thrusters"]
-    command: Float[Array, " thrusters"]
+    thrust: Float[Array, " columns"]
+    command: Float[Array, " columns"]
     wrench: Wrench
     t: Float[Array, ""]
-    slope: Float[Array, " thrusters"] | None = None
+    slope: Float[Array, " columns"] | None = None
     middle: Float[Array, ""] | None = None
     slide: Slide | None = None
 
@@ -153,7 +161,10 @@ class Placed(eqx.Module):
 
 
 class Vehicle(eqx.Module):
-    """A marine vehicle: what its file says, and the effects placed in it."""
+    """A marine vehicle: what its file says, and the effects placed in it.
+
+    - `actuators`: those beside thrusters and slider, kind by kind.
+    """
 
     body: Body
     added_mass: Matrix6
@@ -168,6 +179,7 @@ class Vehicle(eqx.Module):
     # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     slider: Slider | None = None
+    actuators: tuple[AbstractActuators, ...] = ()
 
     def __check_init__(self):
         for what, matrix in (
@@ -187,13 +199,19 @@ class Vehicle(eqx.Module):
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """The command columns of a log: the thrusters and, behind them, the sliding mass."""
-        return self.thruster_names if self.slider is None else (*self.thruster_names, self.slider.name)
+        """The command columns of a log: the thrusters, other actuators and, last, the sliding mass."""
+        return self.drive_names if self.slider is None else (*self.drive_names, self.slider.name)
+
+    @property
+    def drive_names(self) -> tuple[str, ...]:
+        """The command columns but that of the sliding mass, in the order of `Plant.drive`."""
+        return *self.thruster_names, *(name for one in self.actuators for name in one.columns)
 
     @property
     def command_limits(self) -> np.ndarray:
         """The largest command allowed per command column."""
         limits = np.maximum(1.0, np.asarray(self.thrusters.saturation))
+        limits = np.concatenate([limits, *(one.limits for one in self.actuators)])
         return limits if self.slider is None else np.append(limits, 1.0)
 
     @property
@@ -237,13 +255,15 @@ class Vehicle(eqx.Module):
             density=self.density,
             gravity=self.gravity,
         )
-        drive = self.thrusters.drive()
+        drive, actuators = self.thrusters.drive(), self.actuators
         current, delay = None, None
         for effect in effects:
-            if isinstance(effect, LoadEffect):
-                load = effect(load)
-            elif isinstance(effect, DriveEffect):
+            if isinstance(effect, ActuatorEffect):
+                actuators = tuple(effect.changed(one) for one in actuators)
+            if isinstance(effect, DriveEffect):
                 drive = effect(drive)
+            elif isinstance(effect, LoadEffect):
+                load = effect(load)
             elif isinstance(effect, WaterEffect):
                 current = effect() if current is None else current + effect()
             elif isinstance(effect, SensorDelay):
@@ -259,7 +279,8 @@ class Vehicle(eqx.Module):
             load=load,
             inverse_mass=_inverse_mass(load, free),
             damping=self.damping,
-            drive=drive,
+            drive=joined([drive, *(one.servo() for one in actuators)]),
+            actuators=actuators,
             direction=allocation[:3].T,
             allocation=allocation,
             current=current,
@@ -291,6 +312,8 @@ def _inverse_mass(load: Load, free: Float[Array, "6"]) -> Matrix6:
 class Plant(eqx.Module):
     """A vehicle at one time: constants ready for the equations of motion.
 
+    - `drive`: of all command columns but the sliding mass', the thrusters' first; `direction` and
+      `allocation` are the thrusters' alone.
     - `current`: velocity of the water [m/s] NED; None where nothing moves it, which spares a fifth of a step.
     - `delay` [s]: of each kind of sensor (`physics.LATE`), for `physics.late`; None where none is suspected.
     """
@@ -299,6 +322,7 @@ class Plant(eqx.Module):
     inverse_mass: Matrix6
     damping: Damping
     drive: Drive
+    actuators: tuple[AbstractActuators, ...]
     direction: Float[Array, "thrusters 3"]
     allocation: Float[Array, "6 thrusters"]
     current: Vector3 | None
@@ -374,8 +398,6 @@ class Plant(eqx.Module):
         if self.current is not None:
             turned = jnp.cross(state.velocity[3:], apply(motion.rotation.T, self.current))
             relative_dot = relative_dot + jnp.concatenate([turned, jnp.zeros(3)]) * self.free
-        along = jnp.abs(apply(self.direction, motion.nu_r[:3]))
-        thrust = drive.thrust * (1.0 - self.drive.inflow * along)
         out = (
             apply(load.rigid, nu_dot)
             + coriolis(load.rigid, state.velocity)
@@ -383,13 +405,52 @@ class Plant(eqx.Module):
             + coriolis(0.5 * (load.added + load.added.T), motion.nu_r)
             + damping(self.damping.linear, self.damping.quadratic, motion.nu_r)
             + load.restoring(motion.rotation[2])
-            - apply(self.allocation, thrust)
+            - self.pushed(drive.thrust, motion.nu_r, state.velocity, motion.rotation)
             - drive.wrench
         )
         if self.slider is not None and drive.slide is not None:
             out = out + self.slider.reaction(drive.slide(drive.t), state.velocity)
         for effect in self.wrenches:
             out = out - effect(motion)
+        return out
+
+    def pushed(
+        self,
+        acting: Float[Array, " columns"],
+        nu_r: Velocity,
+        nu: Velocity | None = None,
+        turn: Matrix3 | None = None,
+    ) -> Wrench:
+        """What thrusters and other actuators give in the flow: wrench at `o`, body axes [N, N m].
+
+        - `acting`: thrust [N] before inflow loss, or the state of another actuator, per column of `drive`.
+        - `nu`: velocity over ground, default `nu_r`; `turn`: body to world, default upright and to the north.
+        """
+        count = self.allocation.shape[-1]
+        thrust, inflow = acting[:count], self.drive.inflow[:count]
+        thrust = thrust * (1.0 - inflow * jnp.abs(apply(self.direction, nu_r[:3])))
+        if not self.actuators:
+            return apply(self.allocation, thrust)
+        ends = np.cumsum([count, *(len(one.columns) for one in self.actuators)])
+        states = [acting[begin:end] for begin, end in itertools.pairwise(ends.tolist())]
+        for one, state in zip(self.actuators, states, strict=True):
+            if isinstance(one, Supply):
+                thrust = one.supplied(thrust, state)
+        out = apply(self.allocation, thrust)
+        alone = Flow(
+            nu_r=nu_r,
+            density=self.load.density,
+            nu=nu_r if nu is None else nu,
+            rotation=jnp.eye(3) if turn is None else turn,
+            thrust=thrust,
+            streams={},
+        )
+        streams = {}
+        for one, state in zip(self.actuators, states, strict=True):
+            streams |= one.streams(state, alone)
+        flow = dataclasses.replace(alone, streams=streams)
+        for one, state in zip(self.actuators, states, strict=True):
+            out = out + one.wrench(state, flow)
         return out
 
     def acceleration(self, state: State, drive: Input) -> Velocity:
@@ -419,6 +480,41 @@ class Plant(eqx.Module):
         return jnp.concatenate([shown.position, shown.attitude, shown.nu, shown.nu_dot])
 
 
+def reach(plant: Plant) -> Float[np.ndarray, "6"]:
+    """The largest wrench that actuators beside the thrusters can give on each axis [N, N m].
+
+    Of each column what its two ends change, the others at rest or full ahead: with the vehicle at rest and at
+    the speed at which full thrust is balanced by drag.
+    """
+    count, columns = plant.allocation.shape[-1], plant.drive.max_thrust.shape[-1]
+    if columns == count and not plant.actuators:
+        return np.zeros(6)
+    ends = np.asarray(plant.drive.saturation * plant.drive.max_thrust)
+    pushed = jax.jit(jax.vmap(lambda acting, u: plant.pushed(acting, jnp.zeros(6).at[0].set(u))))
+
+    def each(base: np.ndarray, speed: float) -> Float[np.ndarray, "2 columns 6"]:
+        """What the lower and the upper end of each column change."""
+        flat = np.tile(base, (3, columns, 1))
+        for side, share in enumerate((-1.0, 1.0, 0.0)):
+            flat[side, np.arange(columns), np.arange(columns)] = share * ends
+        speeds = jnp.full(3 * columns, speed)
+        given = np.asarray(pushed(jnp.asarray(flat.reshape(-1, columns)), speeds)).reshape(3, columns, 6)
+        return given[:2] - given[2]
+
+    rest = each(np.zeros(columns), 0.0)
+    ahead = np.where(rest[1, :, 0] > 1e-9, ends, np.where(rest[0, :, 0] > 1e-9, -ends, 0.0))
+    low, high = 0.0, _FASTEST
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        nu = jnp.zeros(6).at[0].set(middle)
+        state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), nu, jnp.zeros(6 * plant.has_memory))
+        driven = Input(jnp.asarray(ahead), jnp.zeros(columns), jnp.zeros(6), jnp.zeros(()))
+        missing = float(plant.balance(state, jnp.zeros(6), driven)[0])
+        low, high = (middle, high) if missing < 0.0 else (low, middle)
+    most = np.maximum(np.abs(rest), np.abs(each(ahead, low))).max(axis=0)
+    return most[count:].sum(axis=0) * np.asarray(plant.free)
+
+
 def forward_dynamics(vehicle: Vehicle, state: State, drive: Input) -> Velocity:
     """Acceleration nu' [m/s², rad/s²] of the vehicle with all its effects acting."""
     return vehicle.plant().acceleration(state, drive)
@@ -431,7 +527,7 @@ def inverse_dynamics(
 
     - `slide`: motion of a sliding mass; None: it rests where the file has it.
     """
-    count = len(vehicle.thruster_names)
+    count = len(vehicle.drive_names)
     nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float), slide=slide)
     return vehicle.plant().balance(state, nu_dot, nothing)
 
@@ -451,11 +547,11 @@ def allocate(
     names = vehicle.dof if dof is None else dof
     rows = np.array([DOFS.index(name) for name in names])
     plant = vehicle.plant()
-    drive = plant.drive
-    effect = plant.allocation[rows] * drive.max_thrust[None]
+    drive, count = plant.drive, len(vehicle.thruster_names)
+    effect = plant.allocation[rows] * drive.max_thrust[None, :count]
     shares = wrench[..., rows] @ jnp.linalg.pinv(effect).T
     limits, backwards, quadratic = (
-        jnp.broadcast_to(one, shares.shape)
+        jnp.broadcast_to(one[:count], shares.shape)
         for one in (vehicle.command_limits, drive.max_thrust / drive.max_thrust_reverse, drive.quadratic)
     )
     commands = _uncurved(shares * jnp.where(shares < 0.0, backwards, 1.0), quadratic)

@@ -4,113 +4,39 @@ SI units and radians; body axes about the origin `o`. Damping and added mass car
 sign.
 """
 
-import math
+import functools
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pydantic
 import tomli_w
 from jaxtyping import Float
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from ._errors import InputError
 from ._files import did_you_mean, read_toml, validated, written_whole
-from ._types import CHANNELS, DOFS, WRENCH
+from ._tables import Number, Rows3, Rows6, Table, Triple, finite, unit_direction, usable_name
+from ._types import DOFS
+from .actuators import KINDS, AbstractActuators, Supply, Swivels
 
-# A direction this near to length one is kept to the last digit, so that files round-trip.
-_UNIT_LENGTH = 1e-9
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
 # Of a share of the command that acts as c|c|. Below, more command would bring less thrust before it is full;
 # above, the lower half of all commands would push the wrong way.
 _CURVED = (-1.0, 2.0)
-# Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
-# numbers stay finite.
-_ABSURD = 1e18
-_RESERVED = ("t", "all", *CHANNELS, *WRENCH)
 
 
-def _number(value: Any) -> Any:
-    # pydantic would take "5" and true for numbers
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise ValueError(f"must be a number, but is {value!r:.60}.")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise ValueError(f"must be a finite number, but is {value!r:.60}.")
-    if abs(number) > _ABSURD:
-        raise ValueError(f"must be in SI units, where no vehicle has {value!r:.60}.")
-    return number
-
-
-def _nested(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _row(value: Any, length: int, what: str) -> tuple[float, ...]:
-    value = _nested(value)
-    if not isinstance(value, list | tuple) or len(value) != length:
-        found = f"has {len(value)}" if isinstance(value, list | tuple) else f"is {value!r:.60}"
-        raise ValueError(f"must be {what}, but {found}.")
-    try:
-        return tuple(_number(entry) for entry in value)
-    except ValueError as error:
-        raise ValueError(f"holds an entry that {error}") from error
-
-
-def _square(value: Any, size: int, what: str) -> tuple[tuple[float, ...], ...]:
-    value = _nested(value)
-    if not isinstance(value, list | tuple):
-        raise ValueError(f"must be {what}, but is {value!r:.60}.")
-    lengths = [len(row) if isinstance(row, list | tuple) else None for row in map(_nested, value)]
-    if lengths != [size] * size:
-        rows = ", ".join("none" if length is None else str(length) for length in lengths)
-        raise ValueError(f"must be {what}, but its {len(value)} rows have the lengths {rows}.")
-    return tuple(_row(row, size, what) for row in value)
-
-
-def _triple(value: Any) -> tuple[float, ...]:
-    return _row(value, 3, "3 numbers [x, y, z]")
-
-
-def _matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
-    return _square(value, 3, "3 rows of 3 numbers")
-
-
-def _matrix6(value: Any) -> tuple[tuple[float, ...], ...]:
-    what = "6 rows of 6 numbers, or 6 numbers for a diagonal"
-    value = _nested(value)
-    if isinstance(value, list | tuple) and not any(isinstance(row, list | tuple) for row in value):
-        diagonal = _row(value, 6, what)
-        return tuple(tuple(row) for row in np.diag(diagonal).tolist())
-    return _square(value, 6, what)
-
-
-Number = Annotated[float, BeforeValidator(_number)]
-Triple = Annotated[tuple[float, float, float], BeforeValidator(_triple)]
-Rows3 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix3)]
-Rows6 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix6)]
-
-
-class _Table(pydantic.BaseModel):
-    """A TOML table: values never change, and a key that nothing knows is an error."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_by_name=True)
-
-
-class Environment(_Table):
+class Environment(Table):
     """Water and gravity."""
 
     density: Number = Field(default=1025.0, gt=0, description="a positive number [kg/m³]")
     gravity: Number = Field(default=9.81, gt=0, description="a positive number [m/s²]")
 
 
-class Body(_Table):
+class Body(Table):
     """The rigid body, about `o`."""
 
     mass: Number = Field(gt=0, description="a positive number [kg]")
@@ -153,37 +79,20 @@ class Body(_Table):
         return self
 
 
-class AddedMass(_Table):
+class AddedMass(Table):
     """Added mass M_A, positive sign."""
 
     matrix: Rows6 = Field(description="6 rows of 6 numbers (M_A), or 6 numbers for a diagonal")
 
 
-class Damping(_Table):
+class Damping(Table):
     """D_l on nu and D_q on |nu_j| nu_j, positive sign."""
 
     linear: Rows6 = Field(description="6 rows of 6 numbers (D_l), or 6 numbers for a diagonal")
     quadratic: Rows6 = Field(description="6 rows of 6 numbers (D_q), or 6 numbers for a diagonal")
 
 
-def _usable_name(name: str) -> str:
-    if not name or name != name.strip() or not name.isprintable():
-        raise ValueError(f"is {name!r}, but must be a name without spaces around it.")
-    if name in _RESERVED:
-        raise ValueError(f"is `{name}`, which names something else in logs; choose another.")
-    return name
-
-
-def _unit_direction(direction: Triple) -> tuple[float, ...]:
-    length = math.hypot(*direction)
-    if length == 0:
-        raise ValueError("must not be zero; give the direction of a positive command.")
-    if abs(length - 1) < _UNIT_LENGTH:
-        return direction
-    return tuple(part / length for part in direction)
-
-
-class Thruster(_Table):
+class Thruster(Table):
     """One actuator with a command column of its name."""
 
     name: str = Field(description="the name of the thruster's command column, in quotes")
@@ -206,12 +115,26 @@ class Thruster(_Table):
     lag: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     saturation: Number = Field(default=1.0, gt=0, description="a positive number [command]")
+    swivel: Triple | None = Field(
+        default=None, description="[x, y, z], not zero: the axis about which its direction turns"
+    )
+    nominal_voltage: Number | None = Field(
+        default=None, gt=0, description="a positive number, the battery's at which it gives max_thrust [V]"
+    )
+    voltage_exponent: Number = Field(
+        default=1.0, description="a number", exclude_if=lambda exponent: exponent == 1.0
+    )
 
-    _usable_name = pydantic.field_validator("name")(_usable_name)
-    _unit_direction = pydantic.field_validator("direction")(_unit_direction)
+    _usable_name = pydantic.field_validator("name")(usable_name)
+    _unit_direction = pydantic.field_validator("direction")(unit_direction)
+
+    @pydantic.field_validator("swivel")
+    @classmethod
+    def _unit_axis(cls, swivel: Triple | None) -> tuple[float, ...] | None:
+        return None if swivel is None else unit_direction(swivel)
 
 
-class Slider(_Table):
+class Slider(Table):
     """A mass that slides in the vehicle, with a command column of its name."""
 
     name: str = Field(description="the name of the slider's command column, in quotes")
@@ -223,11 +146,11 @@ class Slider(_Table):
     travel: Number = Field(gt=0, description="a positive number, the way at command 1 [m]")
     time_constant: Number = Field(gt=0, description="a positive number, of its critically damped servo [s]")
 
-    _usable_name = pydantic.field_validator("name")(_usable_name)
-    _unit_direction = pydantic.field_validator("direction")(_unit_direction)
+    _usable_name = pydantic.field_validator("name")(usable_name)
+    _unit_direction = pydantic.field_validator("direction")(unit_direction)
 
 
-class Sensors(_Table):
+class Sensors(Table):
     """Standard deviations of white noise; what is absent is estimated from the log."""
 
     position: Number | None = Field(default=None, gt=0, description="a positive number [m]")
@@ -242,7 +165,7 @@ class Sensors(_Table):
         return self.model_dump(exclude_none=True)
 
 
-class EffectEntry(_Table):
+class EffectEntry(Table):
     """One change that a diagnosis has added; all other keys of its table are `parameters`."""
 
     effect: str = Field(min_length=1, description="the name of an effect, in quotes")
@@ -264,7 +187,7 @@ class EffectEntry(_Table):
             raise ValueError("has a key `parameters`; write each parameter as a key of its own.")
         for key, value in parameters.items():
             try:
-                _number(value)
+                finite(value)
             except ValueError as error:
                 raise ValueError(
                     f"has a key `{key}` that {error} Parameters are numbers; other keys are "
@@ -291,8 +214,13 @@ class EffectEntry(_Table):
         return self
 
 
-class VehicleFile(_Table):
-    """The vehicle file as it stands, with 6-number diagonals written out."""
+class _VehicleFile(Table):
+    """The vehicle file as it stands, with 6-number diagonals written out.
+
+    Actuators beside thrusters have tables `[[key]]` by their kind: see `file_model`.
+    """
+
+    kinds: ClassVar[tuple[type[AbstractActuators], ...]] = ()
 
     schema_version: int = Field(alias="schema", strict=True, description="1")
     name: str = Field(min_length=1, description="the vehicle's name, in quotes")
@@ -339,11 +267,36 @@ class VehicleFile(_Table):
         return thruster
 
     @pydantic.model_validator(mode="after")
-    def _carries_its_slider(self) -> "VehicleFile":
+    def _actuators_apart(self) -> "_VehicleFile":
+        several = [kind.key for kind in self.kinds if not kind.single]
+        tables = [(key, one) for key in several for one in getattr(self, key)]
+        names = list(self.thruster_names)
+        for key, one in tables:
+            if one.name in names:
+                raise ValueError(
+                    f"`{key}.name` is `{one.name}`, as another actuator's is; name each its own."
+                )
+            names.append(one.name)
+        propellers = [one.name for key, one in tables if key == "propeller"]
+        for key, one in tables:
+            behind = getattr(one, "behind", None)
+            if behind is not None and behind not in propellers:
+                raise ValueError(
+                    f"`{key}.behind` of `{one.name}` is `{behind}`, which is no propeller; "
+                    + (did_you_mean(behind, propellers) if propellers else "add its table [[propeller]].")
+                )
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _carries_its_slider(self) -> "_VehicleFile":
         if self.slider is None:
             return self
         if self.slider.name in self.thruster_names:
             raise ValueError(f"`slider.name` is `{self.slider.name}`, as a thruster's is; choose another.")
+        if self.slider.name in self.drive_names:
+            raise ValueError(
+                f"`slider.name` is `{self.slider.name}`, as another actuator's is; choose another."
+            )
         if self.slider.mass >= self.body.mass:
             raise ValueError(
                 f"`slider.mass` is {self.slider.mass:g} kg, but must be below `body.mass`, "
@@ -352,7 +305,7 @@ class VehicleFile(_Table):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _accelerates(self) -> "VehicleFile":
+    def _accelerates(self) -> "_VehicleFile":
         free = np.isin(DOFS, self.dof)
         if self.body.inertia is not None:
             inertia = np.array(self.body.inertia)
@@ -378,14 +331,34 @@ class VehicleFile(_Table):
         return tuple(thruster.name for thruster in self.thruster)
 
     @property
+    def actuators(self) -> tuple[AbstractActuators, ...]:
+        """Those beside the thrusters, kind by kind."""
+        out: list[AbstractActuators] = []
+        if any(one.swivel is not None for one in self.thruster):
+            out.append(Swivels.of(self.thruster))
+        if any(one.nominal_voltage is not None for one in self.thruster):
+            out.append(Supply.of(self.thruster))
+        for kind in self.kinds:
+            those = getattr(self, kind.key)
+            if those:
+                out.append(kind.of([those] if kind.single else those))
+        return tuple(out)
+
+    @property
+    def drive_names(self) -> tuple[str, ...]:
+        """Names of the command columns of thrusters and, behind them, of other actuators but the slider."""
+        return *self.thruster_names, *(name for one in self.actuators for name in one.columns)
+
+    @property
     def command_names(self) -> tuple[str, ...]:
-        """Names of all command columns: the thrusters and, behind them, the slider."""
-        return self.thruster_names if self.slider is None else (*self.thruster_names, self.slider.name)
+        """Names of all command columns: the thrusters, other actuators and, last, the slider."""
+        return self.drive_names if self.slider is None else (*self.drive_names, self.slider.name)
 
     @property
     def command_limits(self) -> Float[np.ndarray, " columns"]:
         """The largest |command| that a log may hold: a saturation above 1 widens [-1, 1]."""
         limits = [max(1.0, thruster.saturation) for thruster in self.thruster]
+        limits += [limit for one in self.actuators for limit in one.limits]
         return np.array(limits if self.slider is None else [*limits, 1.0], float)
 
     @property
@@ -431,16 +404,41 @@ def rigid_body(
     return np.block([[mass * np.eye(3), -moment], [moment, inertia]])
 
 
+@functools.cache
+def file_model(kinds: tuple[type[AbstractActuators], ...]) -> type["_VehicleFile"]:
+    """The vehicle file with tables of these kinds of actuators."""
+    fields: dict[str, Any] = {
+        kind.key: (kind.table | None, Field(default=None, description=f"a table [{kind.key}]"))
+        if kind.single
+        else (tuple[kind.table, ...], Field(default=(), description=f"tables [[{kind.key}]]"))
+        for kind in kinds
+    }
+    model = pydantic.create_model("VehicleFile", __base__=_VehicleFile, **fields)
+    model.kinds = kinds
+    return model
+
+
+if TYPE_CHECKING:
+    VehicleFile = _VehicleFile
+else:
+    VehicleFile = file_model(KINDS)
+
+
 CheckEffect = Callable[[EffectEntry, VehicleFile], None]
 
 
-def read_vehicle_file(path: str | os.PathLike[str], check_effect: CheckEffect | None = None) -> VehicleFile:
+def read_vehicle_file(
+    path: str | os.PathLike[str],
+    check_effect: CheckEffect | None = None,
+    kinds: tuple[type[AbstractActuators], ...] = KINDS,
+) -> VehicleFile:
     """Read and check a vehicle file; raises `InputError` with one sentence.
 
-    `check_effect` raises a `ValueError` for an effect that it does not know; its message continues
-    a sentence that begins with the entry, such as "names no known effect".
+    - `check_effect` raises a `ValueError` for an effect that it does not know; its message continues
+      a sentence that begins with the entry, such as "names no known effect".
+    - `kinds`: of actuators, beside thrusters and slider, that may have tables.
     """
-    file = validated(VehicleFile, read_toml(path), str(path))
+    file = validated(file_model(kinds), read_toml(path), str(path))
     for number, entry in enumerate(file.effect, start=1):
         try:
             if check_effect is not None:
@@ -459,7 +457,8 @@ def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str]) -> None:
 def _toml(file: VehicleFile) -> str:
     data = file.model_dump(by_alias=True, exclude_none=True)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and value}
-    entries = [("thruster", entry) for entry in data["thruster"]]
+    keys = ("thruster", *(kind.key for kind in file.kinds if not kind.single))
+    entries = [(key, entry) for key in keys for entry in data[key]]
     for entry in data["effect"]:
         parameters = entry.pop("parameters")
         inputs = entry.pop("inputs")
@@ -474,6 +473,10 @@ def _toml(file: VehicleFile) -> str:
 def _line(item: tuple[str, Any]) -> str:
     """One key with its value; a matrix stands in rows, as people read it."""
     key, value = item
+    if isinstance(value, dict):
+        # tomli_w would give it a head of its own, which ends the table that it belongs to
+        inside = ", ".join(_line(one).strip() for one in value.items())
+        return f"{key} = {{{inside}}}\n"
     if not isinstance(value, tuple):
         return tomli_w.dumps({key: value})
     if value and isinstance(value[0], tuple):

@@ -12,11 +12,19 @@ import numpy as np
 
 from ._errors import InputError
 from ._files import did_you_mean, file_to_hold, validated, written_whole
+from .actuators import KINDS, AbstractActuators, Supply, Swivels
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
-from .vehicle_file import EffectEntry, VehicleFile, read_vehicle_file, rigid_body, write_vehicle_file
+from .vehicle_file import (
+    EffectEntry,
+    VehicleFile,
+    file_model,
+    read_vehicle_file,
+    rigid_body,
+    write_vehicle_file,
+)
 from .vehicle_file import Slider as SliderTable
 
 # Numbers of a thruster beside its place.
@@ -146,6 +154,7 @@ def _vehicle(file: VehicleFile) -> Vehicle:
         thruster_names=file.thruster_names,
         sensors=tuple(file.sensors.stated().items()),
         slider=None if file.slider is None else _slider(file.slider),
+        actuators=file.actuators,
     )
 
 
@@ -157,13 +166,16 @@ def _slider(table: SliderTable) -> Slider:
 
 
 def load_vehicle(
-    path: str | os.PathLike[str], catalogue: tuple[type[AbstractEffect], ...] = CATALOGUE
+    path: str | os.PathLike[str],
+    catalogue: tuple[type[AbstractEffect], ...] = CATALOGUE,
+    kinds: tuple[type[AbstractActuators], ...] = KINDS,
 ) -> Vehicle:
     """Reads a vehicle file with its effects; raises `InputError` with one sentence.
 
     - `catalogue`: the effects that entries may name; pass `(*CATALOGUE, YourEffect)` for one of your own.
+    - `kinds`: of actuators that may have tables; pass `(*KINDS, YourActuators)` likewise.
     """
-    file = read_vehicle_file(path, _check_effect)
+    file = read_vehicle_file(path, _check_effect, kinds)
     vehicle = _vehicle(file)
     placed = []
     for number, entry in enumerate(file.effect, start=1):
@@ -239,8 +251,17 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     mass, inertia = float(body.mass), matrix[3:, 3:]
     # Where mass, inertia and cog say it all, a reader who edits them is to change the vehicle.
     told = np.array_equal(matrix, rigid_body(mass, inertia, cog))
+    others = [one for one in vehicle.actuators if not isinstance(one, Swivels | Supply)]
+    supply = next((one for one in vehicle.actuators if isinstance(one, Supply)), None)
+    kinds = tuple(dict.fromkeys((*KINDS, *map(type, others))))
+    axes = {
+        one.names[i]: np.asarray(axis)
+        for one in vehicle.actuators
+        if isinstance(one, Swivels)
+        for i, axis in enumerate(one.axis)
+    }
     file = validated(
-        VehicleFile,
+        file_model(kinds),
         {
             "schema": 1,
             "name": vehicle.name,
@@ -266,12 +287,15 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                     "position": np.asarray(thrusters.position[i]),
                     "direction": np.asarray(thrusters.direction[i]),
                     **_thruster_numbers(thrusters, i),
+                    "swivel": axes.get(name),
+                    **({} if supply is None else supply.of_thruster(name)),
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
             "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "effect": entries,
+            **{one.key: one.tables()[0] if one.single else one.tables() for one in others},
         },
         str(path),
     )

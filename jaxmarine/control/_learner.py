@@ -147,7 +147,7 @@ def dissipates(vehicle: Vehicle, velocities: Float[Array, "points 6"]) -> bool:
 
 @eqx.filter_jit
 def _power(vehicle: Vehicle, velocities: Float[Array, "points 6"]) -> Float[Array, " points"]:
-    plant, count = vehicle.plant(), len(vehicle.thruster_names)
+    plant, count = vehicle.plant(), len(vehicle.drive_names)
     nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.zeros(()))
 
     def needed(nu: Velocity):

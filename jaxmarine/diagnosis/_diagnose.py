@@ -195,7 +195,7 @@ def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tupl
     if not answer.unknown:
         return (), []
     progress(LEARNING)
-    learned = learn(answer.judged.knots, answer.unknown, bench.vehicle.thruster_names)
+    learned = learn(answer.judged.knots, answer.unknown, bench.vehicle.drive_names)
     terms = tuple(Placed(term, term.target) for term in learned)
     notes = [
         f"{one.dof}: much more is missing where {', '.join(one.signals)} is large, but no signal tells "

@@ -11,7 +11,7 @@ from scipy import stats
 from .._types import DOFS
 from ..logs import Log
 from ..networks import LearnedWrench
-from ..vehicle import Vehicle
+from ..vehicle import Vehicle, reach
 from ._result import Excess, Finding, MissingWrench
 
 # Share of the full thrust that what pushes a craft may take for seconds on end: one that is to be turned and
@@ -30,7 +30,8 @@ def full_thrust(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
     plant = vehicle.plant()
     drive = plant.drive
     thrust = np.maximum(drive.max_thrust, drive.max_thrust_reverse)
-    return np.abs(np.asarray(plant.allocation)) @ np.abs(thrust * drive.gain * drive.saturation)
+    most = np.abs(thrust * drive.gain * drive.saturation)[: len(vehicle.thruster_names)]
+    return np.abs(np.asarray(plant.allocation)) @ most + reach(plant)
 
 
 def excesses(

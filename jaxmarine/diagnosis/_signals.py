@@ -58,7 +58,7 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     log = np.asarray(data.windows.log)
     t = np.zeros((len(log), count))
     state = np.zeros((len(log), count, 12))
-    command = np.zeros((len(log), count, len(vehicle.thruster_names)))
+    command = np.zeros((len(log), count, len(vehicle.drive_names)))
     behind = np.zeros((*command.shape, len(PLAYS)))
     widths = np.outer(_largest(data, command.shape[-1]), PLAYS)
     for i, source in enumerate(data.logs):
@@ -73,7 +73,7 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
             behind[here] = _played(given, widths)[sample]
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
     signals = {name: state[:, :, i] for i, name in enumerate(names)}
-    signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.thruster_names)}
+    signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.drive_names)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
     spans = np.cumsum([0.0, *[source.duration for source in data.logs]])[:-1]
     began = np.array([source.t[0] for source in data.logs])
@@ -85,7 +85,7 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
         rotation=np.asarray(turns),
         velocity=state[:, :, 6:],
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
-        played={name: behind[:, :, i] for i, name in enumerate(vehicle.thruster_names)},
+        played={name: behind[:, :, i] for i, name in enumerate(vehicle.drive_names)},
     )
 
 

@@ -1,7 +1,18 @@
 """The catalogue of causes. The order is that in which effects of one stage act."""
 
+from ._actuator import CrossFlowDrag as CrossFlowDrag
+from ._actuator import SurfaceGain as SurfaceGain
+from ._actuator import SurfaceLag as SurfaceLag
+from ._actuator import SurfaceOffset as SurfaceOffset
+from ._actuator import SurfaceRate as SurfaceRate
+from ._actuator import SurfaceStuck as SurfaceStuck
+from ._actuator import Wake as Wake
+from ._actuator import WindLoad as WindLoad
 from ._base import (
     AbstractEffect as AbstractEffect,
+)
+from ._base import (
+    ActuatorEffect as ActuatorEffect,
 )
 from ._base import (
     Craft as Craft,
@@ -127,6 +138,14 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     ReverseThrust,
     ThrusterLag,
     InflowLoss,
+    SurfaceGain,
+    SurfaceOffset,
+    SurfaceStuck,
+    SurfaceLag,
+    SurfaceRate,
+    Wake,
+    CrossFlowDrag,
+    WindLoad,
     SteadyCurrent,
     Buoyancy,
     Trim,

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import DOFS, Matrix3, Scalar, Vector3, Velocity, Wrench
+from ..actuators import AbstractActuators
 from ..physics import Drive, Load
 
 
@@ -30,6 +31,10 @@ class Craft(Protocol):
     def dof(self) -> tuple[str, ...]: ...
     @property
     def thruster_names(self) -> tuple[str, ...]: ...
+    @property
+    def drive_names(self) -> tuple[str, ...]: ...
+    @property
+    def actuators(self) -> tuple[AbstractActuators, ...]: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +93,7 @@ class Motion(eqx.Module):
     """Where the vehicle is and how it moves, as effects on the hull see it.
 
     - `position` [m] NED, `rotation` body to world, `nu` over ground, `nu_r` relative to the water,
-      `t` [s] the log's own time, `command` what each thruster was told.
+      `t` [s] the log's own time, `command` what each actuator but the sliding mass was told.
     - `lagged`: `nu_r` passed through the first-order lag of fluid memory.
     """
 
@@ -98,7 +103,7 @@ class Motion(eqx.Module):
     nu_r: Velocity
     lagged: Velocity
     t: Scalar
-    command: Float[Array, " thrusters"]
+    command: Float[Array, " columns"]
 
 
 class Readings(eqx.Module):
@@ -115,6 +120,14 @@ class DriveEffect(AbstractEffect):
 
     @abc.abstractmethod
     def __call__(self, drive: Drive) -> Drive: ...
+
+
+class ActuatorEffect(AbstractEffect):
+    """Stage actuator: changes the numbers of actuators beside the fixed thrusters."""
+
+    @abc.abstractmethod
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        """The same of a kind that it does not concern."""
 
 
 class WaterEffect(AbstractEffect):

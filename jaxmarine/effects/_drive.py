@@ -14,8 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import Scalar
+from ..actuators import AbstractActuators, Propellers
 from ..physics import Drive
-from ._base import AbstractEffect, Craft, DriveEffect, Suspect, scalar
+from ._actuator import names_of
+from ._base import AbstractEffect, ActuatorEffect, Craft, DriveEffect, Suspect, scalar
 
 # A limit of commands that none reaches.
 _NO_LIMIT = 10.0
@@ -23,17 +25,23 @@ _NO_LIMIT = 10.0
 
 def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
     """The single suspect of an effect with one number for all thrusters."""
-    if not craft.thruster_names:
-        return ()
+    return _alone(cls, name, *starts) if craft.thruster_names else ()
+
+
+def _alone(cls, name: str, *starts: float) -> tuple[Suspect, ...]:
     return (Suspect(cls, None, {name: (0,)}, tuple({name: start} for start in starts)),)
 
 
-def _each_and_all(cls, craft: Craft) -> tuple[Suspect, ...]:
-    """The suspects of an effect with a factor for each thruster: each by itself, and all by one factor."""
-    names = craft.thruster_names
+def _each_and_all(cls, names: tuple[str, ...]) -> tuple[Suspect, ...]:
+    """The suspects of an effect with a factor for each of them: each by itself, and all by one factor."""
     each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
     together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
     return (*each, together) if len(names) > 1 else each
+
+
+def _that_push(craft: Craft) -> tuple[str, ...]:
+    """The thrusters and, behind them, the propellers."""
+    return *craft.thruster_names, *names_of(craft, Propellers)
 
 
 class ExchangedThrusters(AbstractEffect):
@@ -69,7 +77,7 @@ class ExchangedThrusters(AbstractEffect):
         return out
 
 
-class InputDelay(DriveEffect):
+class InputDelay(DriveEffect, ActuatorEffect):
     """Every command acts `delay` seconds late: c(t - delay). Neutral: 0.
 
     Source: thesis sec. 5.3.1 (two samples of delay); pure transport delay.
@@ -90,10 +98,13 @@ class InputDelay(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "delay", 0.3)
+        return _alone(cls, "delay", 0.3) if craft.drive_names else ()
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, delay=drive.delay + self.delay)
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        return dataclasses.replace(actuators, delay=actuators.delay + self.delay)
 
 
 class Deadband(DriveEffect):
@@ -182,8 +193,8 @@ class ThrustCurve(DriveEffect):
         return dataclasses.replace(drive, quadratic=drive.quadratic + self.quadratic)
 
 
-class ThrusterGain(DriveEffect):
-    """A thruster gives `factor` times the thrust of the file. Neutral: 1; near 0 commands are not acted on.
+class ThrusterGain(DriveEffect, ActuatorEffect):
+    """A thruster or propeller gives `factor` times the thrust of the file. Neutral: 1; near 0 it gives none.
 
     Source: loss-of-effectiveness fault; Omerdic and Roberts, Control Engineering Practice 12 (2004).
     """
@@ -194,18 +205,24 @@ class ThrusterGain(DriveEffect):
     shown_by = "each thruster driven by itself"
     advice = "inspect the propeller and the motor named: weed, damage, a loose coupling, a dead phase"
 
-    factor: Float[Array, " thrusters"]
+    factor: Float[Array, " thrusters_and_propellers"]
 
     @classmethod
     def neutral(cls, craft: Craft) -> Self:
-        return cls(jnp.ones(len(craft.thruster_names), jnp.result_type(float)))
+        return cls(jnp.ones(len(_that_push(craft)), jnp.result_type(float)))
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, craft)
+        return _each_and_all(cls, _that_push(craft))
 
     def __call__(self, drive: Drive) -> Drive:
-        return dataclasses.replace(drive, gain=drive.gain * self.factor)
+        return dataclasses.replace(drive, gain=drive.gain * self.factor[: drive.gain.shape[-1]])
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Propellers):
+            return actuators
+        behind = self.factor[len(self.factor) - len(actuators.names) :]
+        return dataclasses.replace(actuators, gain=actuators.gain * behind)
 
 
 class ReverseThrust(DriveEffect):
@@ -228,13 +245,13 @@ class ReverseThrust(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, craft)
+        return _each_and_all(cls, craft.thruster_names)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, max_thrust_reverse=drive.max_thrust_reverse * self.factor)
 
 
-class ThrusterLag(DriveEffect):
+class ThrusterLag(DriveEffect, ActuatorEffect):
     """Thrust follows its goal with a first-order lag, `time_constant` T' = T_goal - T. Neutral: 0.
 
     Source: Yoerger, Cooke and Slotine (1990); Fossen (2021), eq. 9.10.
@@ -255,10 +272,15 @@ class ThrusterLag(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "time_constant", 0.15, 0.6)
+        return _alone(cls, "time_constant", 0.15, 0.6) if _that_push(craft) else ()
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, lag=drive.lag + self.time_constant)
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Propellers):
+            return actuators
+        return dataclasses.replace(actuators, lag=actuators.lag + self.time_constant)
 
 
 class InflowLoss(DriveEffect):

@@ -17,7 +17,7 @@ from .._precision import need_double
 from .._types import DOFS
 from ..logs import Log
 from ..simulation import substeps
-from ..vehicle import Vehicle
+from ..vehicle import Vehicle, reach
 from ._advice import advice
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
@@ -335,6 +335,8 @@ def _driven(vehicle: Vehicle, logs: Sequence[Log], dof: str) -> bool:
     if any(log.wrench is not None for log in logs):
         return True
     pushes = np.abs(np.asarray(vehicle.plant().allocation)) * np.asarray(vehicle.thrusters.max_thrust)
+    if reach(vehicle.plant())[DOFS.index(dof)] > 0.0:
+        return True
     # Directions in a file are rounded.
     return bool(pushes[DOFS.index(dof)].max(initial=0.0) > 1e-3 * pushes.max(initial=0.0))
 

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +10,8 @@ from jaxtyping import Float
 
 from .._compiled import compiled
 from ..logs import Log, StateTrack
-from ..physics import from_euler, thrust
-from ..vehicle import Input, Plant, State, Vehicle
+from ..physics import from_euler, rotation, thrust
+from ..vehicle import Input, Plant, State, Vehicle, reach
 
 # An acceleration is read over this time on either side [s].
 HALF = 0.25
@@ -38,7 +39,7 @@ def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
     ahead = np.stack([np.interp(t + HALF, t, one) for one in track.nu.T], axis=1)
     behind = np.stack([np.interp(t - HALF, t, one) for one in track.nu.T], axis=1)
     nu_dot = (ahead - behind) / (2 * HALF)
-    count = len(vehicle.thruster_names)
+    count = len(vehicle.drive_names)
     commands = np.zeros((len(t), count)) if log.commands is None else log.commands[:, :count]
     more = -len(t) % _GRAIN
     arrays = [
@@ -51,19 +52,20 @@ def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
     if log.wrench is not None:
         given, able = log.wrench, np.abs(log.wrench).max(axis=0)
     else:
-        drive = plant.drive
+        drive, thrusters = plant.drive, len(vehicle.thruster_names)
         most = jnp.maximum(drive.max_thrust, drive.max_thrust_reverse) * drive.saturation
-        able = np.abs(np.asarray(plant.allocation)) @ np.asarray(most)
+        able = np.abs(np.asarray(plant.allocation)) @ np.asarray(most)[:thrusters] + reach(plant)
     return Driven(given * vehicle.free, needed * vehicle.free, able * vehicle.free)
 
 
 def thrusts(vehicle: Vehicle, log: Log) -> Float[np.ndarray, "times thrusters"]:
-    """Thrust [N] that each column asks for over each sample's hold, by the vehicle, without inflow loss."""
-    count, more = len(vehicle.thruster_names), -len(log.t) % _GRAIN
+    """Thrust [N] that each thruster's column asks for over each sample's hold, without inflow loss."""
+    count, more = len(vehicle.drive_names), -len(log.t) % _GRAIN
     commands = np.zeros((len(log.t), count)) if log.commands is None else log.commands[:, :count]
     after = log.t[-1] + (log.t[-1] - log.t[-2]) * np.arange(1, more + 1)
     commands = jnp.asarray(np.pad(commands, [(0, more), (0, 0)], mode="edge"))
-    return np.asarray(_thrusts(vehicle.plant(), jnp.asarray(np.append(log.t, after)), commands))[: len(log.t)]
+    mean = np.asarray(_thrusts(vehicle.plant(), jnp.asarray(np.append(log.t, after)), commands))
+    return mean[: len(log.t), : len(vehicle.thruster_names)]
 
 
 @compiled
@@ -79,9 +81,22 @@ def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
     def needed(position, attitude, nu, nu_dot, t):
         state = State(position, from_euler(attitude), nu, jnp.zeros(6 if plant.has_memory else 0))
         still = jnp.zeros(commands.shape[1])
-        return plant.balance(state, nu_dot, Input(still, still, jnp.zeros(6), t))
+        # What the others give at rest and zero speed of shafts is theirs, not the hull's.
+        rest = plant.balance(state, nu_dot, Input(still, still, jnp.zeros(6), t))
+        if not plant.actuators:
+            return rest
+        return rest + plant.pushed(still, plant.relative(state.attitude, nu), nu, rotation(state.attitude))
 
-    return (
-        thrust(drive, t, commands).mean @ plant.allocation.T,
-        jax.vmap(needed)(position, attitude, nu, nu_dot, t),
-    )
+    mean = thrust(drive, t, commands).mean
+    if plant.actuators:
+        # Without the loss by inflow, as that of thrusters; these hang on the flow by what they are.
+        free = eqx.tree_at(lambda p: p.drive.inflow, plant, jnp.zeros(commands.shape[1]))
+
+        def pushed(acting, attitude, nu):
+            turn = from_euler(attitude)
+            return free.pushed(acting, plant.relative(turn, nu), nu, rotation(turn))
+
+        given = jax.vmap(pushed)(mean, attitude, nu)
+    else:
+        given = mean @ plant.allocation.T
+    return given, jax.vmap(needed)(position, attitude, nu, nu_dot, t)

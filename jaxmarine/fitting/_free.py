@@ -556,6 +556,12 @@ def _labels(vehicle: Vehicle, name: str, leaf: np.ndarray) -> list[str]:
     places = list(np.ndindex(*leaf.shape))
     if name.startswith("thrusters."):
         places = [(vehicle.thruster_names[i], *rest) for i, *rest in places]
+    if name.startswith("actuators["):
+        number, name = name.removeprefix("actuators[").split("].", 1)
+        those = vehicle.actuators[int(number)]
+        name = f"{those.key}.{name}"
+        if leaf.shape[0] == len(those.names):
+            places = [(those.names[i], *rest) for i, *rest in places]
     return [f"{name}[{','.join(map(str, place))}]" for place in places]
 
 

@@ -67,9 +67,12 @@ class Reading(NamedTuple):
 
 
 def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
-    """Of logs of commands; None where they are too short to tell, or where nothing was commanded."""
+    """Of logs of commands; None where they are too short to tell, or where nothing was commanded.
+
+    Of thrusters alone: what others give hangs on the flow, and has no answer of one size.
+    """
     logs = [log for log in logs if log.commands is not None and not np.ptp(log.t) < 4 * STRETCH]
-    if not logs or not vehicle.thruster_names:
+    if not logs or not vehicle.thruster_names or vehicle.actuators:
         return None
     mass, parts = np.asarray(vehicle.mass_matrix), []
     for log in logs:

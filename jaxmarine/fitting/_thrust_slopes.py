@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..physics import Asked, Drive, Late, step_lengths
+from ..physics import UNLIMITED, Asked, Drive, Late, step_lengths
 from ._parts import in_parts
 from ._rollout import BLOCK, Problem, late_of, of_segment
 from ._windows import Windows
@@ -68,8 +68,11 @@ class ThrustSlopes(eqx.Module):
         d_late = jax.lax.cond(touched, by_delay, lambda: jax.tree.map(jnp.zeros_like, late))
         rows = _Rows(late, d_late, before, jax.vmap(step_lengths)(records.t), records.segment)
         shape = (problem.windows.count, *by_z.shape[:-1])
+        slow = (drives.lag > 0).any()
+        if drives.rate is not None:
+            slow = slow | (drives.rate < UNLIMITED).any()
         begun = jax.lax.cond(
-            touched & (drives.lag > 0).any(),
+            touched & slow,
             lambda: _begun(drives, rows, problem.windows, shape),
             lambda: jnp.zeros(shape),
         )

@@ -117,6 +117,9 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
         return 0
     drive = vehicle.plant().drive
     memory = float(jnp.max(4.0 * drive.lag + drive.delay, initial=0.0))
+    if drive.rate is not None:
+        # From one end to the other at the limited rate.
+        memory += float(jnp.max(2.0 * drive.saturation / drive.rate, initial=0.0))
     if vehicle.slider is not None:
         memory = max(memory, 6.0 * float(vehicle.slider.time_constant))
     return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))

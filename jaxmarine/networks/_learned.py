@@ -76,7 +76,7 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
         if target not in craft.dof:
             raise ValueError(f"has the target `{target}`, but must name a free axis: {', '.join(craft.dof)}.")
         for name in inputs:
-            if not signals_known(name, craft.thruster_names):
+            if not signals_known(name, craft.drive_names):
                 raise ValueError(f"has the input `{name}`, which is neither a signal nor a thruster.")
 
     @classmethod
@@ -89,7 +89,7 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
         shapes = {"weight_1": (hidden, columns), "bias_1": (hidden,), "weight_2": (hidden,), "bias_2": ()}
         check_shapes(arrays, shapes | {"low": (columns,), "high": (columns,), "scale": ()})
         values = {name: jnp.asarray(value) for name, value in arrays.items()}
-        return cls(**values, target=str(target), inputs=inputs, thrusters=craft.thruster_names)
+        return cls(**values, target=str(target), inputs=inputs, thrusters=craft.drive_names)
 
     @property
     def network(self) -> tuple[Array, ...]:

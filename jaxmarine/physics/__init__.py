@@ -1,5 +1,6 @@
 """The classical terms: frames, rigid body, added mass, Coriolis, restoring, damping, actuators."""
 
+from ._actuators import UNLIMITED as UNLIMITED
 from ._actuators import Asked as Asked
 from ._actuators import Curve as Curve
 from ._actuators import Drive as Drive

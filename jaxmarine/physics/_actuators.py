@@ -1,4 +1,7 @@
-"""From commands to thrust: delay, deadband, saturation, curve, gain, lag."""
+"""From commands to what actuators do: delay, deadband, saturation, curve, gain, lag, limit of the rate.
+
+Of a thruster that is its thrust, of others whatever stands for them: shaft speed, angle, deflection.
+"""
 
 import equinox as eqx
 import jax
@@ -6,6 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._types import Commands, Times
+
+# A rate [1/s] that limits nothing, in units of whatever changes.
+UNLIMITED = 1e15
 
 
 class Curve(eqx.Module):
@@ -37,6 +43,7 @@ class Drive(eqx.Module):
     `inflow` [s/m] (relative loss per speed through the water along the thruster).
     `max_thrust` [N] is the thrust at command 1, `max_thrust_reverse` [N] that at command -1, backwards.
     `curves` are learned ones beside that of the other constants, of the command before the dead zone.
+    `rate` [N/s]: the fastest change behind the lag, `UNLIMITED` where there is no limit; None: none has one.
     """
 
     delay: Float[Array, "*times thrusters"]
@@ -49,6 +56,7 @@ class Drive(eqx.Module):
     max_thrust: Float[Array, "*times thrusters"]
     max_thrust_reverse: Float[Array, "*times thrusters"]
     curves: tuple[Curve, ...] = ()
+    rate: Float[Array, "*times thrusters"] | None = None
 
 
 def step_lengths(t: Times) -> Times:
@@ -142,7 +150,7 @@ class Asked(eqx.Module):
 
     - `goal` [N], `rise` [N/s]: mean and slope over the hold; `now` [N]: at its sample.
     - `first`, `last` [N]: at its ends, late by the lag; `decay`: over the hold, of what differs from that.
-    - `dt` [s]: length of the hold; `lag` [s]: not negative.
+    - `dt` [s]: length of the hold; `lag` [s]: not negative; `rate` [N/s]: as in `Drive`.
     """
 
     goal: Float[Array, "*times thrusters"]
@@ -153,30 +161,54 @@ class Asked(eqx.Module):
     first: Float[Array, "*times thrusters"]
     last: Float[Array, "*times thrusters"]
     decay: Float[Array, "*times thrusters"]
+    rate: Float[Array, "*times thrusters"] | None = None
 
     @classmethod
     def of(cls, drive: Drive, late: Late, dt: Float[Array, "times 1"]) -> "Asked":
         """One row per sample: constants of the thrusters, what their commands were, length of the hold."""
         goal, rise = jax.jvp(lambda c: _goal(drive, c), (late.mean,), (late.slope,))
+        if drive.rate is not None:
+            # A late step within a hold is a steep line, which what is slow does not follow: it has the mean.
+            rise = jnp.where(drive.rate < UNLIMITED, 0.0, rise)
         # Keeps the derivative finite; exp(-dt/1e-9) is zero.
         decay = jnp.exp(-dt / jnp.maximum(drive.lag, 1e-9))
         lag = jnp.maximum(drive.lag, 0.0)
         first, last = goal - rise * dt / 2 - rise * lag, goal + rise * dt / 2 - rise * lag
-        return cls(goal, rise, _goal(drive, late.now), lag, dt, first, last, decay)
+        return cls(goal, rise, _goal(drive, late.now), lag, dt, first, last, decay, drive.rate)
+
+    def _rest(self, before: Float[Array, "*times thrusters"]) -> tuple[Array, Array, Array]:
+        """Of what the lag's state differs from the line: at the hold's end, its mean, and its slope.
+
+        It decays, after it has come at the limited rate so near that its lag is slower.
+        """
+        dt, lag, rest = self.dt, self.lag, before - self.first
+        if self.rate is None:
+            decay = self.decay
+            moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
+            return rest * decay, rest * lag / dt * (1.0 - decay), 12.0 * rest * moment / dt**3
+        near = self.rate * lag
+        moved = jnp.clip(rest - jnp.clip(rest, -near, near), -self.rate * dt, self.rate * dt)
+        slow, fast = rest - moved, jnp.abs(moved) / self.rate
+        decay = jnp.exp(-(dt - fast) / jnp.maximum(lag, 1e-9))
+        mean = (0.5 * (rest + slow) * fast + slow * lag * (1.0 - decay)) / dt
+        moment = rest * fast * (fast - dt) / 2 - moved * fast * (fast / 3 - dt / 4)
+        late = lag * (1.0 - decay) * (lag + fast - dt / 2) - lag * (dt - fast) * decay
+        return slow * decay, mean, 12.0 * (moment + slow * late) / dt**3
 
     def after(self, before: Float[Array, "*times thrusters"]) -> Float[Array, "*times thrusters"]:
         """Where the lag stands at the end of the hold: its answer to the line, and a decaying rest."""
-        return self.last + (before - self.first) * self.decay
+        return self.last + self._rest(before)[0]
 
     def thrust(self, before: Commands) -> Thrust:
         """From where the lag stands at the sample."""
-        dt, decay, lag = self.dt, self.decay, self.lag
-        rest = before - self.first
-        moment = lag * (lag * (1.0 - decay) - dt * decay - 0.5 * dt * (1.0 - decay))
+        _, mean, slope = self._rest(before)
+        slow = self.lag > 0.0
+        if self.rate is not None:
+            slow = slow | (self.rate < UNLIMITED)
         return Thrust(
-            mean=self.goal - self.rise * lag + rest * lag / dt * (1.0 - decay),
-            slope=self.rise + 12.0 * rest * moment / dt**3,
-            instant=jnp.where(lag > 0.0, before, self.now),
+            mean=self.goal - self.rise * self.lag + mean,
+            slope=self.rise + slope,
+            instant=jnp.where(slow, before, self.now),
             before=before,
         )
 

@@ -37,6 +37,10 @@ _TITLES = {
     "gyro_bias": "bias of the gyros",
     "compass_deviation": "deviation of the compass",
     "exchanged_thrusters": "exchanged columns of commands",
+    "surface_lag": "lag of the control surfaces",
+    "surface_rate": "rate of the control surfaces",
+    "cross_flow_drag": "drag across the flow",
+    "wind": "load of the wind",
 }
 _AXIS_TITLES = {
     "added_mass": "added mass in {}",
@@ -48,12 +52,27 @@ _KINDS = {
     "thruster_gain": "thrust of each thruster",
     "reverse_thrust": "thrust of each thruster astern",
     "constant_wrench": "constant force",
+    "surface_gain": "force of each control surface",
+    "surface_offset": "offset of each control surface",
+    "surface_stuck": "each control surface stuck",
+    "wake": "wake of each propeller",
+}
+
+
+_OF_SURFACE = {
+    "surface_gain": "force",
+    "surface_offset": "offset",
+    "surface_stuck": "stuck deflection",
+    "wake": "wake",
 }
 
 
 def title(label: str) -> str:
     """What a label such as `thruster_gain:port` accuses, in a few words."""
     name, _, target = label.partition(":")
+    if name in _OF_SURFACE:
+        who = "all control surfaces" if target == "all" else f"`{target}`"
+        return f"{_OF_SURFACE[name]} of {who}"
     if name in ("thruster_gain", "reverse_thrust"):
         who = "all thrusters" if target == "all" else f"`{target}`"
         return f"thrust of {who}{' astern' if name == 'reverse_thrust' else ''}"
@@ -268,6 +287,48 @@ def _factor_of_thrust(f: Finding, when: str) -> str:
     return f"{text}: it pushes the wrong way" if factor.value < 0 else text
 
 
+def _surface_gain(f: Finding, v: Vehicle) -> str:
+    who = "all control surfaces give" if f.target == "all" else f"surface `{f.target}` gives"
+    text = f"{who} {_pm(f, 'factor')} times the force of the file"
+    return f"{text}: it acts the wrong way" if _value(f, "factor") < 0 else text
+
+
+def _degrees(f: Finding, name: str) -> str:
+    """An angle with its sign, and what is known of it."""
+    angle = f.parameters[name]
+    return f"{plus_minus(math.degrees(angle.value), math.degrees(angle.std))}°"
+
+
+def _surface_offset(f: Finding, v: Vehicle) -> str:
+    return f"surface `{f.target}` stands {_degrees(f, 'angle')} beside its command"
+
+
+def _surface_stuck(f: Finding, v: Vehicle) -> str:
+    return f"surface `{f.target}` is stuck at {_degrees(f, 'angle')}, whatever is commanded"
+
+
+def _surface_lag(f: Finding, v: Vehicle) -> str:
+    lag = _pm(f, "time_constant")
+    return f"the control surfaces follow their commands with {lag} more lag than the file says"
+
+
+def _surface_rate(f: Finding, v: Vehicle) -> str:
+    return f"the control surfaces turn no faster than {_degrees(f, 'limit')}/s"
+
+
+def _wake(f: Finding, v: Vehicle) -> str:
+    fraction = _pm(f, "fraction")
+    return f"the wake fraction of `{f.target}` is that of the file plus {fraction}"
+
+
+def _cross_flow_drag(f: Finding, v: Vehicle) -> str:
+    return f"the hull's drag coefficient across the flow is that of the file plus {_pm(f, 'coefficient')}"
+
+
+def _wind(f: Finding, v: Vehicle) -> str:
+    return f"the wind pushes otherwise than the file says (first harmonics plus {_listed(f)})"
+
+
 def _thrust_curve(f: Finding, v: Vehicle) -> str:
     half = percent(1.0 - _value(f, "quadratic") / 2)
     return (
@@ -387,6 +448,14 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "constant_wrench": _constant_wrench,
     "thruster_gain": _thruster_gain,
     "reverse_thrust": _reverse_thrust,
+    "surface_gain": _surface_gain,
+    "surface_offset": _surface_offset,
+    "surface_stuck": _surface_stuck,
+    "surface_lag": _surface_lag,
+    "surface_rate": _surface_rate,
+    "wake": _wake,
+    "cross_flow_drag": _cross_flow_drag,
+    "wind": _wind,
     "thrust_curve": _thrust_curve,
     "thruster_lag": _thruster_lag,
     "input_delay": _input_delay,

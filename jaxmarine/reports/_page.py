@@ -336,6 +336,7 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return [
         ("Vehicle", f"{vehicle.name}, free in {joined(vehicle.dof)}"),
         ("Thrusters", ", ".join(f"`{name}`" for name in vehicle.thruster_names) or "none"),
+        *((one.title, ", ".join(f"`{name}`" for name in one.names)) for one in vehicle.actuators),
         ("Training logs", ", ".join(f"`{name}`" for name in diagnosis.train)),
         (
             "Test log" if len(diagnosis.tests) == 1 else "Test logs",

@@ -1,0 +1,166 @@
+"""What an actuator is, and what is asked of one.
+
+It has two halves. What a command makes of the actuator's own state (delay, lag, limits of rate and range) is
+known from the log alone, before any motion is simulated: `servo` gives the constants of that. What force the
+state gives in the flow (`wrench`) stands inside the equations of motion, which differentiate it. All
+actuators of one kind in a vehicle are one module, with an entry each along the first axis of its arrays.
+"""
+
+import abc
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._tables import Table
+from .._types import Matrix3, Scalar, Velocity, Wrench
+from ..physics import UNLIMITED, Curve, Drive
+
+
+class Stream(eqx.Module):
+    """What a propeller makes of the water behind it.
+
+    - `inflow` [m/s]: speed at which the water comes to it, wake included.
+    - `loading` [m²/s²]: 8 K_T n² D² / pi, by which its thrust raises the square of that far behind; not
+      negative.
+    """
+
+    inflow: Scalar
+    loading: Scalar
+
+
+class Flow(eqx.Module):
+    """The water as actuators see it.
+
+    - `nu_r`: velocity of the vehicle through the water at `o`, body axes [m/s, rad/s]; `density` [kg/m³].
+    - `nu`: over ground; `rotation`: body to world.
+    - `thrust`: of the fixed thrusters, and of those that swivel as if they did not [N].
+    - `streams`: behind propellers, by their names.
+    """
+
+    nu_r: Velocity
+    density: Scalar
+    nu: Velocity
+    rotation: Matrix3
+    thrust: Float[Array, " thrusters"]
+    streams: dict[str, Stream]
+
+
+class AbstractActuators(eqx.Module):
+    """All actuators of one kind; see the module's text.
+
+    - `names`: of the actuators; `delay`, `lag` [s]: of each.
+    """
+
+    key: ClassVar[str]  # of their tables [[key]] in a vehicle file
+    single: ClassVar[bool] = False  # it has one table [key] in all
+    title: ClassVar[str]  # of their row in a report
+    table: ClassVar[type[Table]]  # what such a table may say
+
+    names: eqx.AbstractVar[tuple[str, ...]]
+    delay: eqx.AbstractVar[Float[Array, " actuators"]]
+    lag: eqx.AbstractVar[Float[Array, " actuators"]]
+
+    @classmethod
+    @abc.abstractmethod
+    def of(cls, tables: Sequence[Any]) -> Self:
+        """From the tables of a vehicle file, in their order."""
+
+    @abc.abstractmethod
+    def tables(self) -> list[dict[str, Any]]:
+        """The tables from which `of` makes the same."""
+
+    @property
+    @abc.abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """The command columns of a log that drive them."""
+
+    @property
+    @abc.abstractmethod
+    def limits(self) -> Float[np.ndarray, " columns"]:
+        """The largest |command| that a log may hold, per column."""
+
+    @property
+    @abc.abstractmethod
+    def usual(self) -> Float[np.ndarray, "columns 2"]:
+        """Between which commands an operator who tries the vehicle out moves each column."""
+
+    @abc.abstractmethod
+    def servo(self) -> Drive:
+        """What each column makes of its actuator's state: constants, an entry per column (`servo`)."""
+
+    @abc.abstractmethod
+    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
+        """What those that leave a stream make of the water behind them, by their names; mostly nothing."""
+
+    @abc.abstractmethod
+    def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
+        """The wrench on the hull at `o`, body axes [N, N m]."""
+
+
+def servo(
+    reach: Float[Array, " columns"],
+    delay: Float[Array, " columns"],
+    lag: Float[Array, " columns"],
+    rate: Float[Array, " columns"] | None = None,
+) -> Drive:
+    """A state that follows its command late by `delay` and `lag` [s], within +-`reach`, at most at `rate`."""
+    one, zero = jnp.ones_like(reach), jnp.zeros_like(reach)
+    return Drive(
+        delay=delay,
+        deadband=zero,
+        saturation=reach,
+        quadratic=zero,
+        gain=one,
+        lag=lag,
+        inflow=zero,
+        max_thrust=one,
+        max_thrust_reverse=one,
+        rate=UNLIMITED * one if rate is None else rate,
+    )
+
+
+def joined(drives: Sequence[Drive]) -> Drive:
+    """The constants of several groups of columns as one, in their order.
+
+    A learned curve of one group is none to the others.
+    """
+    if len(drives) == 1:
+        return drives[0]
+    names = [name for name in vars(drives[0]) if name not in ("curves", "rate")]
+    numbers = {name: jnp.concatenate([getattr(one, name) for one in drives]) for name in names}
+    rates = [UNLIMITED * jnp.ones_like(one.lag) if one.rate is None else one.rate for one in drives]
+    sizes = [one.lag.size for one in drives]
+
+    def filled(values: Float[Array, " group"], before: int):
+        return jnp.pad(values, (before, sum(sizes) - before - values.size))
+
+    def widened(curve: Curve, before: int) -> Curve:
+        slope, bias, weight = (
+            tuple(filled(a, before) for a in part) for part in (curve.slope, curve.bias, curve.weight)
+        )
+        return Curve(slope, bias, weight, filled(curve.low, before), filled(curve.high, before))
+
+    curves = [widened(c, sum(sizes[:i])) for i, one in enumerate(drives) for c in one.curves]
+    return Drive(**numbers, curves=tuple(curves), rate=jnp.concatenate(rates))
+
+
+def stacked(tables: Sequence[Any], name: str, *width: int) -> Array:
+    """One key of all tables as an array, zero where it is left out."""
+    values = [getattr(table, name) for table in tables]
+    zero = np.zeros(width)
+    filled = [zero if value is None else value for value in values]
+    return jnp.asarray(np.array(filled, float).reshape(len(values), *width))
+
+
+def at_point(nu: Velocity, position: Float[Array, "points 3"]) -> Float[Array, "points 3"]:
+    """Velocity of points that are fixed to the vehicle [m/s]."""
+    return nu[None, :3] + jnp.cross(nu[None, 3:], position)
+
+
+def along(a: Float[Array, "points 3"], b: Float[Array, "points 3"]) -> Float[Array, " points"]:
+    """Scalar products, row by row."""
+    return (a * b).sum(-1)

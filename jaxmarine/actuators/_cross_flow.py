@@ -1,0 +1,82 @@
+"""Drag of the hull's sections across the flow."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from .._tables import Number, Table
+from .._types import Wrench
+from ..physics import Drive
+from ._base import AbstractActuators, Flow, Stream, servo
+
+# Exact while the flow has one sign along the hull; where it turns within, off by a part in a hundred at most.
+_AT, _WEIGHT = np.polynomial.legendre.leggauss(8)
+
+
+class CrossFlowTable(Table):
+    """Drag of the hull's sections, integrated over the length."""
+
+    length: Number = Field(gt=0, description="a positive number [m], half of it ahead of `o`")
+    draft: Number = Field(gt=0, description="a positive number [m]")
+    coefficient: Number = Field(ge=0, description="a number not below zero")
+
+
+class CrossFlow(AbstractActuators):
+    r"""Strip theory: $Y = -\frac12 \rho d C \int |v + x r| (v + x r) dx$, N with x inside. It has no column.
+
+    Source: Fossen (2021), sec. 6.4 (cross-flow drag); Faltinsen (1990), sec. 6.
+    """
+
+    key: ClassVar[str] = "cross_flow"
+    title: ClassVar[str] = "Drag across the flow"
+    table: ClassVar[type[Table]] = CrossFlowTable
+    single: ClassVar[bool] = True
+
+    length: Float[Array, " one"]
+    draft: Float[Array, " one"]
+    coefficient: Float[Array, " one"]
+    delay: Float[Array, " none"]
+    lag: Float[Array, " none"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, tables: Sequence[Any]) -> Self:
+        (table,) = tables
+        numbers = {key: jnp.array([getattr(table, key)], float) for key in ("length", "draft", "coefficient")}
+        return cls(**numbers, delay=jnp.zeros(0), lag=jnp.zeros(0), names=("cross_flow",))
+
+    def tables(self) -> list[dict[str, Any]]:
+        return [{key: float(getattr(self, key)[0]) for key in ("length", "draft", "coefficient")}]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def limits(self) -> Float[np.ndarray, " columns"]:
+        return np.zeros(0)
+
+    @property
+    def usual(self) -> Float[np.ndarray, "columns 2"]:
+        return np.zeros((0, 2))
+
+    def servo(self) -> Drive:
+        return servo(*(jnp.zeros(0),) * 3)
+
+    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
+        del state, flow
+        return {}
+
+    def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
+        del state
+        x = 0.5 * self.length[0] * _AT
+        across = flow.nu_r[1] + x * flow.nu_r[5]
+        size = 0.25 * flow.density * self.draft[0] * self.length[0] * self.coefficient[0]
+        drag = size * _WEIGHT * jnp.abs(across) * across
+        zero = jnp.zeros_like(size)
+        return -jnp.stack([zero, drag.sum(), zero, zero, zero, (x * drag).sum()])

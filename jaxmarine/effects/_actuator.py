@@ -1,0 +1,282 @@
+"""Stage actuator: propellers, control surfaces, the hull across the flow and the wind are not as filed."""
+
+import dataclasses
+import math
+from typing import Any, Self
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import Scalar
+from ..actuators import FREE, AbstractActuators, CrossFlow, Propellers, Surfaces, Wind
+from ._base import ActuatorEffect, Craft, Suspect, free, scalar, zeros
+
+
+def all_of(craft: Craft, kind: type[AbstractActuators]) -> Any:
+    """The actuators of a kind, None where the craft has none."""
+    return next((one for one in craft.actuators if isinstance(one, kind)), None)
+
+
+def names_of(craft: Craft, kind: type[AbstractActuators]) -> tuple[str, ...]:
+    return () if all_of(craft, kind) is None else all_of(craft, kind).names
+
+
+def _moving(craft: Craft) -> dict[int, str]:
+    """Surfaces that have a column, by their places."""
+    found = all_of(craft, Surfaces)
+    return {} if found is None else {i: n for i, n in enumerate(found.names) if not found.fixed[i]}
+
+
+class SurfaceGain(ActuatorEffect):
+    """A surface gives `factor` times the force of the file. Neutral: 1; near 0 it is gone.
+
+    Source: loss-of-effectiveness fault; Fossen (2021), sec. 9.7 (forces of rudders).
+    """
+
+    name = "surface_gain"
+    units = {"factor": "1"}
+    confused_with = ("thruster_gain", "hull_lift", "surface_offset")
+    shown_by = "each surface moved by itself to both sides, at speed"
+    advice = "inspect the surface named: damage, weed, a loose stock, a part that is missing"
+
+    factor: Float[Array, " surfaces"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(zeros(len(names_of(craft, Surfaces))) + 1.0)
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        names = names_of(craft, Surfaces)
+        each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
+        together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
+        return (*each, together) if len(names) > 1 else each
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Surfaces):
+            return actuators
+        return dataclasses.replace(actuators, gain=actuators.gain * self.factor)
+
+
+class SurfaceOffset(ActuatorEffect):
+    """A surface stands `angle` beside what is commanded. Neutral: 0.
+
+    Source: bias of the steering gear; Fossen (2021), sec. 9.7.
+    """
+
+    name = "surface_offset"
+    units = {"angle": "rad"}
+    plausible = {"angle": (-1.0, 1.0)}
+    confused_with = ("constant_wrench", "surface_gain")
+    shown_by = "straight runs at several speeds"
+    advice = "look at the zero of the steering gear: linkage, servo horn, the output map of the autopilot"
+
+    angle: Float[Array, " surfaces"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(zeros(len(names_of(craft, Surfaces))))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return tuple(Suspect(cls, name, {"angle": (i,)}) for i, name in _moving(craft).items())
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Surfaces):
+            return actuators
+        return dataclasses.replace(actuators, offset=actuators.offset + self.angle)
+
+
+class SurfaceStuck(ActuatorEffect):
+    """A surface stands at `angle`, whatever is commanded. Neutral: 10 rad, from which on it stands nowhere.
+
+    Source: lock-in-place fault; Fossen (2021), sec. 9.7.
+    """
+
+    name = "surface_stuck"
+    units = {"angle": "rad"}
+    plausible = {"angle": (-math.pi, math.pi)}
+    confused_with = ("surface_gain", "surface_offset")
+    shown_by = "the surface commanded to both sides, at speed"
+    advice = "the surface does not move: look at its motor, its linkage and what may jam it"
+
+    angle: Float[Array, " surfaces"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(zeros(len(names_of(craft, Surfaces))) + FREE)
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        starts = ({"angle": 0.0}, {"angle": 0.3}, {"angle": -0.3})
+        return tuple(Suspect(cls, name, {"angle": (i,)}, starts) for i, name in _moving(craft).items())
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Surfaces):
+            return actuators
+        stands = jnp.abs(self.angle) < FREE
+        return dataclasses.replace(actuators, stuck=jnp.where(stands, self.angle, actuators.stuck))
+
+
+class SurfaceLag(ActuatorEffect):
+    """All surfaces follow their commands with a first-order lag of `time_constant` more. Neutral: 0.
+
+    Source: Fossen (2021), sec. 9.7 (steering machine).
+    """
+
+    name = "surface_lag"
+    units = {"time_constant": "s"}
+    confused_with = ("input_delay", "surface_rate")
+    shown_by = "abrupt changes of deflection at speed, logged at 10 Hz or faster"
+    advice = "look at the servos: worn, starved of power, or filtered by their controller"
+
+    time_constant: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        if not _moving(craft):
+            return ()
+        return (
+            Suspect(cls, None, {"time_constant": (0,)}, tuple({"time_constant": v} for v in (0.15, 0.6))),
+        )
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Surfaces):
+            return actuators
+        return dataclasses.replace(actuators, lag=actuators.lag + self.time_constant)
+
+
+class SurfaceRate(ActuatorEffect):
+    """No surface turns faster than `limit`. Neutral: 10 rad/s, from which on it leaves the file's alone.
+
+    Source: Fossen (2021), sec. 9.7 (limits of steering machines: Van Amerongen, 1982).
+    """
+
+    name = "surface_rate"
+    units = {"limit": "rad/s"}
+    plausible = {"limit": (0.0, np.inf)}
+    confused_with = ("surface_lag", "input_delay")
+    shown_by = "abrupt changes of deflection from side to side, at speed"
+    advice = "look at the steering gear's pump or motor and its supply: it turns more slowly than it should"
+
+    limit: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(FREE))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        if not _moving(craft):
+            return ()
+        return (Suspect(cls, None, {"limit": (0,)}, tuple({"limit": value} for value in (0.05, 0.2, 0.6))),)
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Surfaces):
+            return actuators
+        # Not zero, by which the time to the goal would be divided.
+        slower = jnp.minimum(actuators.max_rate, jnp.maximum(self.limit, 1e-3))
+        rate = jnp.where(self.limit < FREE, slower, actuators.max_rate)
+        return dataclasses.replace(actuators, max_rate=rate)
+
+
+class Wake(ActuatorEffect):
+    """The wake fraction of a propeller is `fraction` more than the file says. Neutral: 0.
+
+    Source: Fossen (2021), sec. 9.2; Yasukawa and Yoshimura (2015), eq. 13.
+    """
+
+    name = "wake"
+    units = {"fraction": "1"}
+    plausible = {"fraction": (-1.0, 0.9)}
+    confused_with = ("thruster_gain", "quadratic_damping:surge")
+    shown_by = "the same shaft speed at different speeds of the craft"
+    advice = "the water comes to the propeller at another speed than the file says: fouling, trim, a new hull"
+
+    fraction: Float[Array, " propellers"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        return cls(zeros(len(names_of(craft, Propellers))))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        names = names_of(craft, Propellers)
+        return tuple(Suspect(cls, name, {"fraction": (i,)}) for i, name in enumerate(names))
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Propellers):
+            return actuators
+        return dataclasses.replace(actuators, wake_fraction=actuators.wake_fraction + self.fraction)
+
+
+class CrossFlowDrag(ActuatorEffect):
+    """The drag coefficient of the hull's sections is `coefficient` more than the file says. Neutral: 0.
+
+    Source: Fossen (2021), sec. 6.4 (strip theory); Hoerner (1965), the coefficient by beam and draft.
+    """
+
+    name = "cross_flow_drag"
+    units = {"coefficient": "1"}
+    confused_with = ("quadratic_damping:sway", "quadratic_damping:yaw", "hull_lift")
+    shown_by = "turns and sideways motion at low speed"
+    advice = "the hull drags more or less across the flow than the file says: keel, bilge, draft, fouling"
+
+    coefficient: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        there = all_of(craft, CrossFlow) is not None and free(craft, "sway", "yaw")
+        return (Suspect(cls, None, {"coefficient": (0,)}),) if there else ()
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, CrossFlow):
+            return actuators
+        return dataclasses.replace(actuators, coefficient=actuators.coefficient + self.coefficient[None])
+
+
+class WindLoad(ActuatorEffect):
+    """The first harmonics of the wind's coefficients are `surge`, `sway` and `yaw` more. Neutral: 0.
+
+    Source: Blendermann (1994); Isherwood (1972).
+    """
+
+    name = "wind"
+    units = {"surge": "1", "sway": "1", "yaw": "1"}
+    confused_with = ("constant_wrench", "steady_current")
+    shown_by = "several headings in the wind"
+    advice = "the wind pushes more or less than the file says: look at deck load, masts and the wind sensor"
+
+    surge: Scalar
+    sway: Scalar
+    yaw: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(), scalar(), scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        if all_of(craft, Wind) is None:
+            return ()
+        slots = {dof: (i,) for i, dof in enumerate(cls.units) if dof in craft.dof}
+        return (Suspect(cls, None, slots),) if slots else ()
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Wind):
+            return actuators
+        more = {dof: getattr(actuators, dof).at[0].add(getattr(self, dof)) for dof in self.units}
+        return dataclasses.replace(actuators, **more)

@@ -1,0 +1,547 @@
+"""Propellers and control surfaces: forces against closed forms and finite differences, files, diagnosis."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.integrate
+
+import jaxmarine as jm
+from jaxmarine import InputError
+from jaxmarine._tables import Number, Table
+from jaxmarine.actuators import KINDS, AbstractActuators, Flow, servo
+from jaxmarine.effects import (
+    ActuatorEffect,
+    ConstantWrench,
+    LinearDamping,
+    SurfaceGain,
+    SurfaceOffset,
+    SurfaceStuck,
+    Suspect,
+    ThrusterGain,
+    Wake,
+    place,
+)
+from jaxmarine.examples import hidden
+from jaxmarine.networks import learned_thrust
+from jaxmarine.physics import UNLIMITED, Drive, thrust
+from jaxmarine.vehicle import Input, reach
+from jaxmarine.vehicle_io import suspect_named
+
+SHIP = """
+schema = 1
+name = "ship"
+dof = ["surge", "sway", "yaw"]
+[environment]
+density = 1000.0
+[body]
+mass = 160.0
+inertia = [[10, 0, 0], [0, 45, 0], [0, 0, 45]]
+cog = [0, 0, 0]
+cob = [0, 0, 0]
+[added_mass]
+matrix = [8, 110, 0, 0, 0, 30]
+[damping]
+linear = [4, 30, 0, 0, 0, 30]
+quadratic = [12, 160, 0, 0, 0, 60]
+[[propeller]]
+name = "prop"
+position = [-1.4, 0, 0.1]
+direction = [1, 0, 0]
+diameter = 0.15
+kt = [0.29, -0.28, -0.14]
+kt_reverse = [0.2, -0.1, 0.05]
+kq = [0.03, -0.02, -0.01]
+wake_fraction = 0.3
+thrust_deduction = 0.2
+astern_side_force = 0.1
+max_speed = 20.0
+[[surface]]
+name = "rudder"
+position = [-1.5, 0, 0.1]
+axis = [0, 0, -1]
+area = 0.03
+lift_slope = 2.4
+behind = "prop"
+slipstream = {share = 0.9, gain = 0.5, wake_ratio = 1.05}
+hull = {steering_deduction = 0.3, lift_increase = 0.3, lift_position = -0.6, straightening = [0.4, 0.6]}
+max_angle = 0.7
+max_rate = 0.4
+[sensors]
+position = 0.02
+attitude = 0.003
+velocity = 0.01
+rate = 0.003
+"""
+
+
+def read(folder, text: str = SHIP, **more) -> jm.Vehicle:
+    (folder / "craft.toml").write_text(text, encoding="utf-8")
+    return jm.load_vehicle(folder / "craft.toml", **more)
+
+
+@pytest.fixture(scope="module")
+def ship(tmp_path_factory) -> jm.Vehicle:
+    return read(tmp_path_factory.mktemp("ship"))
+
+
+def pushed(vehicle: jm.Vehicle, n: float, delta: float, nu) -> np.ndarray:
+    return np.asarray(vehicle.plant().pushed(jnp.array([n, delta]), jnp.asarray(nu, float)))
+
+
+def by_the_book(n, delta, u, v, r):
+    """X, Y, N as Yasukawa and Yoshimura (2015) write them, with J and alpha."""
+    rho, d, w, t = 1000.0, 0.15, 0.3, 0.2
+    j = (1 - w) * u / (n * d)
+    kt = 0.29 - 0.28 * j - 0.14 * j**2
+    x_prop = (1 - t) * rho * n**2 * d**4 * kt
+    u_r = 1.05 * (1 - w) * u
+    u_r *= np.sqrt(0.9 * (1 + 0.5 * (np.sqrt(1 + 8 * kt / (np.pi * j**2)) - 1)) ** 2 + 0.1)
+    drift = v - 1.5 * r
+    v_r = -(0.4 if drift < 0 else 0.6) * drift
+    alpha = delta - np.arctan2(v_r, u_r)
+    normal = 0.5 * rho * 0.03 * (u_r**2 + v_r**2) * 2.4 * np.sin(alpha)
+    x = x_prop - 0.7 * normal * np.sin(delta)
+    return x, -1.3 * normal * np.cos(delta), -(-1.5 + 0.3 * -0.6) * normal * np.cos(delta)
+
+
+@pytest.mark.parametrize(
+    "motion", [(12.0, 0.3, 0.8, 0.1, 0.2), (9.0, -0.5, 1.1, -0.2, 0.1), (15, 0.1, 0.4, 0, 0)]
+)
+def test_propeller_and_rudder_are_those_of_the_book(ship, motion):
+    n, delta, u, v, r = motion
+    found = pushed(ship, n, delta, [u, v, 0, 0, 0, r])
+    # The root of the mixed squares is smooth below 1 mm/s: one part in 2 u_R² / 1e-6.
+    np.testing.assert_allclose(found[[0, 1, 5]], by_the_book(n, delta, u, v, r), rtol=1e-5)
+
+
+def test_a_propeller_astern(ship):
+    found = pushed(ship, -8.0, 0.0, [-0.5, 0, 0, 0, 0, 0])
+    back = 1000 * 0.15**4 * (0.2 * 64 - 0.1 * 8 * -0.5 / 0.15 + 0.05 * (0.5 / 0.15) ** 2)
+    assert found[0] == pytest.approx(-back)
+    # Without a race the rudder lies in the wake; straight it gives nothing.
+    assert found[1] == pytest.approx(0.1 * back)
+    assert found[5] == pytest.approx(-1.4 * 0.1 * back)
+    # The side force acts below `o`, and the shaft is braked by the water.
+    assert found[3] == pytest.approx(-0.1 * 0.1 * back + 1000 * 0.15**5 * 0.03 * 64)
+
+
+def test_signs(ship):
+    ahead = [1.0, 0, 0, 0, 0, 0]
+    assert pushed(ship, 12.0, 0.2, ahead)[5] > 0 > pushed(ship, 12.0, 0.2, ahead)[1]
+    # In the race a rudder steers at rest; without it, it does not.
+    assert pushed(ship, 12.0, 0.2, np.zeros(6))[5] > 0
+    assert not np.any(pushed(ship, 0.0, 0.2, np.zeros(6)))
+    # A rudder amidships brakes drift and turns.
+    assert pushed(ship, 12.0, 0.0, [1, 0.2, 0, 0, 0, 0])[1] < 0
+    assert pushed(ship, 12.0, 0.0, [1, 0, 0, 0, 0, 0.2])[5] < 0
+
+
+@pytest.mark.parametrize("n", [-5.0, 0.0, 7.0])
+@pytest.mark.parametrize("u", [-0.6, 0.0, 0.9])
+@pytest.mark.parametrize("delta", [0.0, 0.3])
+def test_derivatives_are_finite_and_those_of_differences(ship, n, u, delta):
+    plant = ship.plant()
+
+    def force(x):
+        return plant.pushed(x[:2], x[2:])
+
+    x = np.array([n, delta, u, 0.1, 0, 0, 0, 0.05]) if u else np.array([n, delta, 0, 0, 0, 0, 0, 0])
+    slopes = np.asarray(jax.jacfwd(force)(jnp.asarray(x)))
+    assert np.isfinite(slopes).all()
+    assert np.isfinite(np.asarray(jax.jacrev(force)(jnp.asarray(x)))).all()
+    if not (n and u):
+        return  # on the border between ahead and astern the two sides differ
+    for i in (0, 1, 2, 3, 7):
+        step = 1e-6 * np.eye(8)[i]
+        after, before = (np.asarray(force(jnp.asarray(at))) for at in (x + step, x - step))
+        by_difference = (after - before) / 2e-6
+        np.testing.assert_allclose(slopes[:, i], by_difference, rtol=1e-5, atol=1e-5)
+
+
+def test_a_fin_is_half_rho_a_v_squared_lift_slope(tmp_path):
+    fin = """
+[[surface]]
+name = "fin"
+position = [-0.6, 0.0, 0.2]
+axis = [0.0, 1.0, 0.0]
+area = 0.01
+aspect_ratio = 2.0
+"""
+    craft = read(tmp_path, SHIP[: SHIP.index("[[propeller]]")] + fin)
+    assert craft.command_names == ("fin",)
+    slope, u, w, q = 6.13 * 2 / 4.25, 1.5, 0.2, 0.1
+    found = np.asarray(craft.plant().pushed(jnp.array([0.3]), jnp.array([u, 0, w, 0, q, 0])))
+    # At the fin the water comes from below and ahead; positive deflection about +y lifts the leading edge.
+    here_u, here_w = u + q * 0.2, w - q * -0.6
+    alpha = 0.3 - np.arctan2(-here_w, here_u)
+    normal = 0.5 * 1000 * 0.01 * (here_u**2 + here_w**2) * slope * np.sin(alpha)
+    x, z = -normal * np.sin(0.3), -normal * np.cos(0.3)
+    np.testing.assert_allclose(found, [x, 0, z, 0, 0.2 * x + 0.6 * z, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_limited_rate_is_that_of_small_steps():
+    """Lag and rate limit together, against an integration of state' = clip((goal - state) / lag)."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.05, 0.15, 60))
+    goals = np.repeat(rng.uniform(-0.6, 0.6, (6, 2)), 10, axis=0)
+    lag, rate = np.array([0.0, 0.3]), np.array([0.4, 0.7])
+    one, zero = jnp.ones((60, 2)), jnp.zeros((60, 2))
+    drive = Drive(zero, zero, one, zero, one, zero + lag[None], zero, one, one, rate=zero + rate[None])
+    push = thrust(drive, jnp.asarray(t), jnp.asarray(goals))
+    for i in range(2):
+        state = goals[0, i]
+        for k, dt in enumerate(np.diff(t)):
+            assert push.instant[k, i] == pytest.approx(state, abs=1e-6)
+
+            def slope(_, y, i=i, k=k):
+                away = goals[k, i] - y[0]
+                return [np.clip(away / max(lag[i], 1e-6), -rate[i], rate[i]), y[0]]
+
+            run = scipy.integrate.solve_ivp(slope, (0, dt), [state, 0], method="LSODA", rtol=1e-9, atol=1e-12)
+            assert push.mean[k, i] == pytest.approx(run.y[1, -1] / dt, abs=1e-5)
+            state = run.y[0, -1]
+    free = dataclasses.replace(drive, rate=None)
+    unlimited = dataclasses.replace(drive, rate=zero + UNLIMITED)
+    ways = [thrust(one, jnp.asarray(t), jnp.asarray(goals)) for one in (free, unlimited)]
+    for a, b in zip(*map(jax.tree.leaves, ways), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_files_round_trip(ship, tmp_path):
+    jm.save_vehicle(ship, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert again.command_names == ("prop", "rudder")
+    for a, b in zip(jax.tree.leaves(ship), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert jax.tree.structure(ship) == jax.tree.structure(again)
+
+
+WRONG = {
+    "no propeller": ('behind = "prop"', 'behind = "propp"', "did you mean"),
+    "name twice": ('name = "rudder"', 'name = "prop"', "another actuator's"),
+    "no slope": ("lift_slope = 2.4\n", "", "needs one of `lift_slope`"),
+    "chord along the stock": ("axis = [0, 0, -1]", "axis = [1, 0, 0]", "right angles"),
+    "no diameter": ("diameter = 0.15", "diameter = 0.0", "`propeller[1].diameter`"),
+    "pulls at rest": ("kt = [0.29", "kt = [-0.29", "must begin with a positive number"),
+    "unknown key": ("max_rate = 0.4", "max_rat = 0.4", "max_rat"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_in_one_sentence(tmp_path, case):
+    old, new, told = WRONG[case]
+    assert old in SHIP
+    with pytest.raises(InputError, match=r"craft\.toml") as error:
+        read(tmp_path, SHIP.replace(old, new))
+    assert told.lower() in str(error.value).lower() and "\n" not in str(error.value)
+
+
+def test_reach_is_full_thrust_and_full_rudder(ship):
+    most = reach(ship.plant())
+    assert most[0] > 0.8 * 1000 * 0.15**4 * 0.29 * 400 - 1e-6
+    assert most[1] > 10 and most[5] > 10 and not most[[2, 3, 4]].any()
+
+
+def test_acceleration_is_that_of_the_forces(ship):
+    """One instant by hand: nothing but propeller and rudder acts on a ship at rest."""
+    plant, state = ship.plant(), jm.initial_state(ship)
+    acting = jnp.array([10.0, 0.4])
+    found = plant.acceleration(state, Input(acting, acting, jnp.zeros(6), jnp.zeros(())))
+    x, y, n = (plant.pushed(acting, jnp.zeros(6))[i] for i in (0, 1, 5))
+    np.testing.assert_allclose(found[jnp.array([0, 1, 5])], [x / 168, y / 270, n / 75], rtol=1e-9)
+
+
+def test_flow_names_its_streams(ship):
+    propellers = ship.actuators[0]
+    flow = Flow(jnp.zeros(6), jnp.asarray(1000.0), jnp.zeros(6), jnp.eye(3), jnp.zeros(0), {})
+    stream = propellers.streams(jnp.array([10.0]), flow)["prop"]
+    assert stream.inflow == 0.0 and stream.loading == pytest.approx(8 * 0.29 * 100 * 0.15**2 / np.pi)
+    assert propellers.streams(jnp.array([-10.0]), flow)["prop"].loading == 0.0
+
+
+FEW = (
+    SurfaceGain,
+    SurfaceOffset,
+    SurfaceStuck,
+    Wake,
+    ThrusterGain,
+    ConstantWrench,
+    LinearDamping,
+)
+HIDDEN = {
+    "offset": ("surface_offset", "rudder", {"angle": 0.06}),
+    "stuck": ("surface_stuck", "rudder", {"angle": -0.1}),
+    "weak": ("surface_gain", "rudder", {"factor": 0.6}),
+    "propeller": ("thruster_gain", "prop", {"factor": 0.8}),
+    "wake": ("wake", "prop", {"fraction": 0.25}),
+}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=() if case == "offset" else pytest.mark.slow) for case in HIDDEN]
+)
+def test_what_is_hidden_in_propeller_and_rudder_is_found(ship, case):
+    effect, target, values = HIDDEN[case]
+    logs = hidden(ship, effect, target, values, (60.0, 40.0))
+    found = jm.diagnose(ship, *logs, catalogue=FEW)
+    assert [finding.label for finding in found.findings] == [f"{effect}:{target}"]
+    for name, parameter in found.findings[0].parameters.items():
+        assert parameter.value == pytest.approx(values[name], abs=4 * parameter.std + 1e-3)
+    assert found.verdict == "explained"
+
+
+BARE = SHIP[: SHIP.index("[[propeller]]")] + SHIP[SHIP.index("[sensors]") :]
+
+
+def test_drag_across_the_flow_is_that_of_strips(tmp_path):
+    craft = read(tmp_path, BARE + "[cross_flow]\nlength = 3.0\ndraft = 0.2\ncoefficient = 0.6\n")
+    assert craft.command_names == ()
+    x = np.linspace(-1.5, 1.5, 20001)
+    for v, r in ((0.3, 0.1), (-0.2, 0.4), (0.0, 0.3), (0.4, 0.0)):
+        across = v + x * r
+        strips = -0.5 * 1000 * 0.2 * 0.6 * np.abs(across) * across
+        found = np.asarray(craft.plant().pushed(jnp.zeros(0), jnp.array([1.0, v, 0, 0, 0, r])))
+        by_strips = [np.trapezoid(strips, x), np.trapezoid(strips * x, x)]
+        np.testing.assert_allclose(found[[1, 5]], by_strips, rtol=0.01, atol=1e-3)
+        assert not found[[0, 2, 3, 4]].any()
+
+
+WIND = """
+[wind]
+frontal_area = 0.4
+lateral_area = 1.2
+length = 3.0
+centre = [0.2, -0.5]
+surge = [-0.6]
+sway = [-0.8, 0.1]
+yaw = [-0.05]
+"""
+
+
+def test_wind_pushes_where_it_blows(tmp_path):
+    craft = read(tmp_path, BARE + WIND)
+    assert craft.command_names == ("wind_speed", "wind_direction")
+    plant, heading = craft.plant(), 0.7
+    turn = jnp.array(
+        [[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]]
+    )
+    nu = jnp.array([1.0, 0.2, 0, 0, 0, 0])
+    found = np.asarray(plant.pushed(jnp.array([6.0, 2.0]), nu, nu, turn))
+    # Apparent: the wind's own velocity less the craft's, both in body axes, and where that comes from.
+    blows = -6.0 * np.array([np.cos(2.0 - heading), np.sin(2.0 - heading)]) - np.array([1.0, 0.2])
+    angle, size = np.arctan2(-blows[1], -blows[0]), 0.5 * 1.225 * (blows @ blows)
+    x = size * 0.4 * -0.6 * np.cos(angle)
+    y = size * 1.2 * (-0.8 * np.sin(angle) + 0.1 * np.sin(2 * angle))
+    n = size * 1.2 * 3.0 * -0.05 * np.sin(angle) + 0.2 * y
+    np.testing.assert_allclose(found, [x, y, 0, 0.5 * y, -0.5 * x, n], rtol=1e-9)
+    slopes = jax.jacfwd(lambda nu: plant.pushed(jnp.zeros(2), nu, nu, turn))(jnp.zeros(6))
+    assert np.isfinite(np.asarray(slopes)).all()
+
+
+AZIMUTH = """
+[[thruster]]
+name = "pod"
+position = [-1.4, 0.3, 0.1]
+direction = [1, 0, 0]
+max_thrust = 50.0
+lag = 0.2
+swivel = [0, 0, 1]
+[[thruster]]
+name = "bow"
+position = [1.2, 0, 0.1]
+direction = [0, 1, 0]
+max_thrust = 20.0
+"""
+
+
+def test_a_thruster_swivels(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    assert craft.command_names == ("pod", "bow", "pod_angle")
+    found = np.asarray(craft.plant().pushed(jnp.array([40.0, 10.0, 0.5]), jnp.zeros(6)))
+    x, y = 40 * np.cos(0.5), 40 * np.sin(0.5)
+    # Clockwise from above about an axis that points down: to starboard.
+    np.testing.assert_allclose(found[[0, 1, 5]], [x, y + 10, -1.4 * y - 0.3 * x + 12], rtol=1e-9)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.structure(again) == jax.tree.structure(craft)
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
+def test_thrust_goes_with_the_battery(tmp_path):
+    supplied = AZIMUTH.replace("lag = 0.2", "nominal_voltage = 16.0\nvoltage_exponent = 1.5")
+    craft = read(tmp_path, BARE + supplied)
+    assert craft.command_names == ("pod", "bow", "pod_angle", "battery")
+    found = np.asarray(craft.plant().pushed(jnp.array([40.0, 10.0, 0.5, 14.0]), jnp.zeros(6)))
+    push = 40 * (14 / 16) ** 1.5
+    np.testing.assert_allclose(found[:2], [push * np.cos(0.5), push * np.sin(0.5) + 10], rtol=1e-9)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
+def test_a_propeller_swivels(tmp_path):
+    craft = read(tmp_path, SHIP.replace("max_speed = 20.0", "max_speed = 20.0\nswivel = [0, 0, 1]"))
+    assert craft.command_names == ("prop", "prop_angle", "rudder")
+    straight = np.asarray(craft.plant().pushed(jnp.array([10.0, 0.0, 0.0]), jnp.zeros(6)))
+    turned = np.asarray(craft.plant().pushed(jnp.array([10.0, 0.4, 0.0]), jnp.zeros(6)))
+    np.testing.assert_allclose(turned[:2], straight[0] * np.array([np.cos(0.4), np.sin(0.4)]), rtol=1e-9)
+
+
+class FlapTable(Table):
+    """A flap that brakes by its opening."""
+
+    name: str
+    drag: Number
+
+
+class Flaps(AbstractActuators):
+    """One's own kind, in one place: X = -drag opening² u |u|."""
+
+    key = "flap"
+    title = "Brake flaps"
+    table = FlapTable
+
+    drag: jax.Array
+    delay: jax.Array
+    lag: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, tables):
+        zero = jnp.zeros(len(tables))
+        return cls(
+            jnp.array([one.drag for one in tables]), zero, zero + 0.3, tuple(one.name for one in tables)
+        )
+
+    def tables(self):
+        return [{"name": n, "drag": float(d)} for n, d in zip(self.names, self.drag, strict=True)]
+
+    @property
+    def columns(self):
+        return self.names
+
+    @property
+    def limits(self):
+        return np.ones(len(self.names))
+
+    @property
+    def usual(self):
+        return np.outer(np.ones(len(self.names)), [0.0, 1.0])
+
+    def servo(self):
+        return servo(jnp.ones(len(self.names)), self.delay, self.lag)
+
+    def streams(self, state, flow):
+        return {}
+
+    def wrench(self, state, flow):
+        u = flow.nu_r[0]
+        return jnp.zeros(6).at[0].set(-(self.drag * state**2).sum() * u * jnp.abs(u))
+
+
+class FlapLoose(ActuatorEffect):
+    """A flap brakes `factor` times as much. Neutral: 1."""
+
+    name = "flap_loose"
+    units = {"factor": "1"}
+    factor: jax.Array
+
+    @classmethod
+    def neutral(cls, craft):
+        return cls(jnp.ones(()))
+
+    @classmethod
+    def suspects(cls, craft):
+        there = any(isinstance(one, Flaps) for one in craft.actuators)
+        return (Suspect(cls, None, {"factor": (0,)}),) if there else ()
+
+    def changed(self, actuators):
+        if not isinstance(actuators, Flaps):
+            return actuators
+        return dataclasses.replace(actuators, drag=actuators.drag * self.factor)
+
+
+def test_a_kind_of_ones_own_is_read_and_driven(tmp_path):
+    text = SHIP + '[[flap]]\nname = "brake"\ndrag = 40.0\n'
+    with pytest.raises(InputError, match="flap"):
+        read(tmp_path, text)
+    craft = read(tmp_path, text, kinds=(*KINDS, Flaps))
+    assert craft.command_names == ("prop", "rudder", "brake")
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml", kinds=(*KINDS, Flaps))
+    assert jax.tree.structure(again) == jax.tree.structure(craft)
+    t = np.arange(0, 60, 0.1)
+    runs = {}
+    for opened in (0.0, 0.8):
+        commands = np.stack([np.full_like(t, 12.0), 0 * t, np.where(t > 40, opened, 0.0)], axis=1)
+        log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, craft.command_names, "log")
+        runs[opened] = np.asarray(jm.simulate(craft, log, jm.initial_state(craft))["u"])
+    np.testing.assert_array_equal(runs[0.0][:400], runs[0.8][:400])
+    assert runs[0.8][-1] < 0.8 * runs[0.0][-1]
+
+
+@pytest.mark.slow
+def test_a_kind_of_ones_own_is_diagnosed(tmp_path):
+    craft = read(tmp_path, SHIP + '[[flap]]\nname = "brake"\ndrag = 40.0\n', kinds=(*KINDS, Flaps))
+    catalogue = (SurfaceGain, ThrusterGain, LinearDamping, FlapLoose)
+    logs = hidden(craft, "flap_loose", None, {"factor": 0.5}, (60.0, 40.0), catalogue=catalogue)
+    found = jm.diagnose(craft, *logs, catalogue=catalogue)
+    assert [finding.label for finding in found.findings] == ["flap_loose"]
+    parameter = found.findings[0].parameters["factor"]
+    assert parameter.value == pytest.approx(0.5, abs=4 * parameter.std)
+    jm.write_report(found, tmp_path / "report")
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    assert "Brake flaps" in page and "flap loose" in page.lower()
+
+
+def test_a_craft_of_all_kinds_is_driven(tmp_path):
+    """Thrusters, one of which swivels, beside propeller, rudder and wind: every column acts on its own."""
+    craft = read(tmp_path, SHIP + AZIMUTH + WIND)
+    names = ("pod", "bow", "pod_angle", "prop", "rudder", "wind_speed", "wind_direction")
+    assert craft.command_names == names
+    learned = jm.Placed(learned_thrust(craft.thruster_names, -np.ones(2), np.ones(2)))
+    base = np.array([0.5, 0.2, 0.3, 10.0, 0.2, 4.0, 1.0])
+
+    def end(vehicle, commands) -> np.ndarray:
+        t = np.arange(0, 5, 0.1)
+        log = jm.Log(t, np.full((50, 18), np.nan), np.tile(commands, (50, 1)), None, names, "log")
+        return np.asarray(jm.simulate(vehicle, log, jm.initial_state(vehicle)).channels)[-1, :12]
+
+    as_filed = end(craft, base)
+    # Networks without weight change nothing, whatever stands beside the thrusters.
+    np.testing.assert_allclose(end(craft.place(learned), base), as_filed, rtol=1e-12)
+    for i in range(len(names)):
+        changed = end(craft, base * (1 - 0.5 * np.eye(len(names))[i]))
+        assert np.abs(changed - as_filed).max() > 1e-4, names[i]
+    weak = place(suspect_named(craft, "thruster_gain", "all"), craft, {"factor": 0.0})
+    none = end(craft.place(jm.Placed(weak, "all")), base * [1, 1, 1, 1, 1, 0, 1])
+    assert np.abs(none).max() < 1e-9
+
+
+def test_a_log_beyond_the_limits_is_refused(ship):
+    t = np.arange(0, 3, 0.1)
+    table = {"t": t, **dict.fromkeys(("u", "v", "r"), 0 * t), "prop": 0 * t + 12.0, "rudder": 0 * t}
+    assert jm.read_log(pd.DataFrame(table), ship).commands[0].tolist() == [12.0, 0.0]
+    for name, value in (("prop", 21.0), ("rudder", 20.0)):
+        with pytest.raises(InputError, match=f"`{name}` is {value:g}"):
+            jm.read_log(pd.DataFrame(table | {name: 0 * t + value}), ship)
+    with pytest.raises(InputError, match="rudder"):
+        jm.read_log(pd.DataFrame({key: table[key] for key in table if key != "rudder"}), ship)
+
+
+NAMED = ["propeller.wake_fraction[prop]", "surface.lift_slope[rudder]"]
+
+
+def test_numbers_of_propeller_and_rudder_are_fitted(ship):
+    train, _ = hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))
+    wrong = eqx.tree_at(lambda v: v.actuators[1].lift_slope, ship, jnp.array([3.2]))
+    wrong = eqx.tree_at(lambda v: v.actuators[0].wake_fraction, wrong, jnp.array([0.1]))
+    fit = jm.fit(wrong, train, lambda v: (v.actuators[0].wake_fraction, v.actuators[1].lift_slope))
+    assert [p.name for p in fit.parameters] == NAMED
+    for parameter, truth in zip(fit.parameters, (0.3, 2.4), strict=True):
+        assert parameter.value == pytest.approx(truth, abs=4 * parameter.std_model)
