@@ -234,6 +234,18 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
 
 
+def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
+    """That of the screening where the log is the training's own, and less with sizes that are too large."""
+    bench, model = disturbed
+    again, own = bench.on(bench.data.logs), bench.screen(model).chi2.sum() / bench.samples
+    # Starts are followed from the samples anew: paths differ by less than a thousandth of a number's noise.
+    assert again.log_score(model) == pytest.approx(-0.5 * (own + np.log(2 * np.pi)), abs=1e-3)
+    beside = model.beside
+    force = dataclasses.replace(beside.force, size=3 * beside.force.size)
+    larger = dataclasses.replace(model, beside=dataclasses.replace(beside, force=force))
+    assert again.log_score(larger) < again.log_score(model) - 0.01
+
+
 def test_where_nothing_disturbs_sizes_go_to_zero():
     """To less than a tenth of what shows in the noise."""
     bench, model = estimated_on(pushed_boat(np.zeros(3), 120.0))

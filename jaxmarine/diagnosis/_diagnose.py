@@ -116,6 +116,7 @@ def diagnose(
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
     said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
+    said += tuple(_one_step_ahead(bench, rival.judged.model, model, tests)) if changed else ()
     notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
@@ -260,6 +261,23 @@ def _not_scored(gain: Gain) -> list[str]:
         f"the sensors where it begins ({', '.join(one.quantities)}); "
         + ("these are not scored." if gain.sound else "they say little of what comes after.")
         for one in gain.unscored
+    ]
+
+
+def _one_step_ahead(bench: Workbench, file: Model, model: Model, tests: Sequence[Log]) -> list[str]:
+    """What the test logs say of a model and of the file, each beside its own disturbance.
+
+    Under feedback the error over a horizon flatters what copies the controller; this does not.
+    """
+    if model.beside is None or file.beside is None:
+        return []
+    on = bench.on(tests)
+    before, after = on.log_score(file), on.log_score(model)
+    names, more = together([test.name for test in tests]), after - before
+    return [
+        "One step ahead, each beside the disturbance that suits it, the extended vehicle makes what "
+        f"{names} measured {'likelier' if more > 0 else 'less likely'} than the file does, by "
+        f"{abs(more):.3g} nats per number; under feedback this says more than the error over a horizon."
     ]
 
 

@@ -30,6 +30,7 @@ from ..fitting import (
     Segments,
     Task,
     coefficient_name,
+    cut,
     estimated,
     evaluated,
     free_wrench,
@@ -76,6 +77,8 @@ EXACT = 1e-6
 ESTIMATES, LIKELIER = 4, 0.5
 # Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
 UNLEARNED = 0.25
+# Times that windows are followed, each time from where the one before lets one expect them to begin.
+PASSES = 3
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -158,6 +161,7 @@ class Workbench:
     - `filed`: the vehicle as filed, `vehicle` with its columns in the order that the log has them.
     - `noise`: of each channel, NaN where it is not used; `own_noise`: that of its sensor alone.
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
+    - `room`: that of the programs; one that was given, if the logs fit into it.
     - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
     """
 
@@ -171,6 +175,7 @@ class Workbench:
         split: int,
         own_noise: Float[np.ndarray, "18"] | None = None,
         filed: Vehicle | None = None,
+        room: Room | None = None,
     ):
         self.vehicle = vehicle
         self.filed = vehicle if filed is None else filed
@@ -188,7 +193,8 @@ class Workbench:
         group = _grouped(log)
         self.group_windows = np.flatnonzero(np.diff(group, prepend=-1))
         self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
-        self.room = Room.of(data.records, data.windows)
+        own = Room.of(data.records, data.windows)
+        self.room = room if room is not None and room.holds(own) else own
         # No more than samples: a knot without one would stand for nothing.
         steps = data.windows.step.shape[1]
         parts = parts_of(steps, float(np.median([log.dt for log in data.logs])))
@@ -553,6 +559,30 @@ class Workbench:
         """The same with the columns as the vehicle file has them."""
         data, split = self.data, self.split
         return Workbench(self.filed, self.families, self.layout, data, self.noise, split, self.own_noise)
+
+    def on(self, logs: Sequence[Log]) -> "Workbench":
+        """The same with other logs, whose programs are those of its own where there is room."""
+        data = cut(self.vehicle, logs, self.noise, self.data.length)
+        noises = self.noise, self.split, self.own_noise
+        return Workbench(self.vehicle, self.families, self.layout, data, *noises, self.filed, self.room)
+
+    def log_score(self, model: Model) -> float:
+        """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
+
+        - `model`: of another workbench, beside a disturbance; what begins has begun.
+        """
+        assert model.beside is not None
+        fine, begun = self.fine, tuple(dataclasses.replace(member, since=None) for member in model.members)
+        force = dataclasses.replace(model.beside.force, gap=fine.begin.gap, joined=fine.begin.joined)
+        theta = jnp.asarray(self.theta(dataclasses.replace(model, members=begun)))
+        nothing = Affine(theta, jnp.zeros((theta.shape[1], 1)), jnp.ones((len(theta), 1)))
+        problem, path = self.problem(begun, fine.problem), fine.path
+        group = jnp.zeros(len(fine.group), int)
+        found = innovations(problem, nothing, force, path, group, 1)
+        for _ in range(PASSES - 1):
+            found = innovations(problem, nothing, force, found.path, group, 1)
+        minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
+        return -0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi)))
 
     def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""
