@@ -116,7 +116,7 @@ def diagnose(
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
     said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
-    said += tuple(_one_step_ahead(bench, rival.judged.model, model, tests)) if changed else ()
+    said += tuple(_one_step_ahead(bench, rival.judged.model, model, tests)) if findings else ()
     notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
@@ -274,6 +274,9 @@ def _one_step_ahead(bench: Workbench, file: Model, model: Model, tests: Sequence
     on = bench.on(tests)
     before, after = on.log_score(file), on.log_score(model)
     names, more = together([test.name for test in tests]), after - before
+    # Where the craft runs away along a test log there is nothing to say.
+    if not np.isfinite(more):
+        return []
     return [
         "One step ahead, each beside the disturbance that suits it, the extended vehicle makes what "
         f"{names} measured {'likelier' if more > 0 else 'less likely'} than the file does, by "
