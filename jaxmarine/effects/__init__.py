@@ -127,6 +127,9 @@ from ._wrench import (
 from ._wrench import (
     Waves as Waves,
 )
+from ._wrench import (
+    WindPush as WindPush,
+)
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
     ExchangedThrusters,
@@ -158,6 +161,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     HullLift,
     TurningLift,
     TetherDrag,
+    WindPush,
     Waves,
     FluidMemory,
     VelocityLeverArm,

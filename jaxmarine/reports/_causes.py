@@ -19,6 +19,7 @@ _TITLES = {
     "steady_current": "steady current",
     "waves": "waves",
     "tether_drag": "drag of a cable",
+    "wind_push": "push of the wind",
     "payload": "payload",
     "buoyancy": "buoyancy",
     "trim": "shifted centre of buoyancy",
@@ -185,6 +186,13 @@ def _tether_drag(f: Finding, v: Vehicle) -> str:
         f"something towed, such as a cable, drags with {at_one} N at 1 m/s and with the square of "
         f"the speed (coefficient {_pm(f, 'coefficient')})"
     )
+
+
+def _wind_push(f: Finding, v: Vehicle) -> str:
+    north, east = _value(f, "north"), _value(f, "east")
+    towards = round(math.degrees(math.atan2(east, north))) % 360
+    force = number(math.hypot(north, east), 2)
+    return f"a steady force of {force} N, as of the wind, pushes towards {towards}° ({_listed(f)})"
 
 
 def _changed(matrix: np.ndarray, f: Finding) -> str:
@@ -435,6 +443,7 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "steady_current": _steady_current,
     "waves": _waves,
     "tether_drag": _tether_drag,
+    "wind_push": _wind_push,
     "added_mass": _added_mass,
     "payload": _payload,
     "buoyancy": _buoyancy,
