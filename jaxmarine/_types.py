@@ -23,6 +23,8 @@ RATE = ("p", "q", "r")
 ACCELERATION = ("du", "dv", "dw")
 ANGULAR_ACCELERATION = ("dp", "dq", "dr")
 WRENCH = ("X", "Y", "Z", "K", "M", "N")
+# The column of the battery's voltage [V].
+BATTERY = "battery"
 
 # Every channel that a log can measure, in the order of all channel arrays.
 CHANNELS = POSITION + ATTITUDE + VELOCITY + RATE + ACCELERATION + ANGULAR_ACCELERATION

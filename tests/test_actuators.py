@@ -13,7 +13,7 @@ import scipy.integrate
 import jaxmarine as jm
 from jaxmarine import InputError
 from jaxmarine._tables import Number, Table
-from jaxmarine.actuators import KINDS, AbstractActuators, Flow, servo
+from jaxmarine.actuators import KINDS, AbstractActuators, Flow, Supply, servo
 from jaxmarine.effects import (
     ActuatorEffect,
     ConstantWrench,
@@ -23,14 +23,15 @@ from jaxmarine.effects import (
     SurfaceStuck,
     Suspect,
     ThrusterGain,
+    Voltage,
     Wake,
     place,
 )
-from jaxmarine.examples import hidden
+from jaxmarine.examples import hidden, operated, recorded
 from jaxmarine.networks import learned_thrust
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
-from jaxmarine.vehicle_io import suspect_named
+from jaxmarine.vehicle_io import cause_named, suspect_named
 
 SHIP = """
 schema = 1
@@ -382,6 +383,63 @@ def test_thrust_goes_with_the_battery(tmp_path):
     jm.save_vehicle(craft, tmp_path / "again.toml")
     again = jm.load_vehicle(tmp_path / "again.toml")
     assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
+def drained(craft: jm.Vehicle, exponent: float, folder, seconds: float, seed: int) -> pd.DataFrame:
+    """A log of a craft on a battery that sinks from 17 to 13 V, its thrust with a power of that over 15 V."""
+    battery = Supply.unfiled(craft.thruster_names, 15.0)
+    truth = dataclasses.replace(craft, actuators=(*craft.actuators, battery))
+    truth = truth.place(cause_named(truth, f"voltage exponent={exponent}"))
+    t = np.arange(0.0, seconds, 0.1)
+    commands = operated(truth, t, seed)
+    commands[:, -1] = np.linspace(17.0, 13.0, len(t))
+    jm.write_log(recorded(truth, commands, t, seed, "log"), folder / "log.csv")
+    return pd.read_csv(folder / "log.csv")
+
+
+def test_thrust_by_the_battery_is_a_power_of_its_voltage(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH.replace("lag = 0.2", "nominal_voltage = 16.0"))
+    worn = craft.place(cause_named(craft, "voltage exponent=0.5"))
+    found = np.asarray(worn.plant().pushed(jnp.array([40.0, 10.0, 0.0, 14.0]), jnp.zeros(6)))
+    np.testing.assert_allclose(found[:2], [40 * (14 / 16) ** 1.5, 10], rtol=1e-9)
+
+
+def test_the_voltage_is_read_beside_the_commands(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    table = drained(craft, 1.5, tmp_path, 5.0, 1)
+    log = jm.read_log(table.assign(battery=table["battery"].mask(table["t"] < 1.0)), craft)
+    assert log.commands is not None and log.commands.shape[1] == 3 and log.battery is not None
+    assert not any("battery" in note for note in log.notes)
+    np.testing.assert_allclose(log.battery[:11], table["battery"][10])
+    # A vehicle whose thrust hangs on it takes it from there, and says so where it lacks.
+    supplied = read(tmp_path, BARE + AZIMUTH.replace("lag = 0.2", "nominal_voltage = 15.0"))
+    log = jm.read_log(table, craft)
+    np.testing.assert_array_equal(
+        log.commanded(supplied.command_names), jm.read_log(table, supplied).commands
+    )
+    part = log.between(1.0, 2.0).battery
+    assert part is not None and part.shape == (10,)
+    with pytest.raises(InputError, match="battery"):
+        dataclasses.replace(log, battery=None).commanded(supplied.command_names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponent", [0.0, 1.5])
+def test_thrust_that_sinks_with_the_battery_is_found(tmp_path, exponent):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    logs = [jm.read_log(drained(craft, exponent, tmp_path, s, i), craft) for i, s in enumerate((120.0, 60.0))]
+    found = jm.diagnose(craft, *logs, catalogue=(*FEW, Voltage))
+    assert [finding.label for finding in found.findings] == ["voltage"] * bool(exponent)
+    if not exponent:
+        assert found.extended.command_names == craft.command_names
+        return
+    parameter = found.findings[0].parameters["exponent"]
+    assert parameter.value == pytest.approx(exponent, abs=4 * parameter.std)
+    jm.save_vehicle(found.extended, tmp_path / "extended.toml")
+    again = jm.load_vehicle(tmp_path / "extended.toml")
+    start = jm.initial_state(again)
+    one, other = (jm.simulate(craft, logs[1], start)["u"] for craft in (found.extended, again))
+    np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_a_propeller_swivels(tmp_path):

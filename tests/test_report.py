@@ -742,6 +742,7 @@ SENTENCES = {
     "surface_rate": (None, {"limit": 0.5236}, "no faster than 30 ± 11°/s"),
     "wake": ("prop", {"fraction": 0.1}, "the wake fraction of `prop`"),
     "cross_flow_drag": (None, {"coefficient": 0.5}, "across the flow is that of the file plus"),
+    "voltage": (None, {"exponent": 1.0}, "at nine tenths of it there is 90 % as much"),
     "wind": (None, {"surge": -0.1, "sway": 0.2}, "the wind pushes otherwise"),
     "unknown": ("roll", {}, "moment in roll acts on the vehicle that no known cause explains"),
 }

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from .._errors import InputError
 from .._files import did_you_mean, read_toml, validated
-from .._types import ATTITUDE, CHANNEL_UNITS, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
+from .._types import ATTITUDE, BATTERY, CHANNEL_UNITS, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
 
 # Units of a foreign file by the contract's unit of the same quantity, and what one is of that.
 _QUANTITIES = {
@@ -136,7 +136,7 @@ class ColumnMap(pydantic.BaseModel):
 
         Raises `InputError` that begins with `path` for a name that is none of them.
         """
-        known = ("t", *CHANNELS, *thrusters, *WRENCH, *_GROUPS, *QUATERNION, *GEODETIC)
+        known = ("t", *CHANNELS, *thrusters, *WRENCH, BATTERY, *_GROUPS, *QUATERNION, *GEODETIC)
         found: dict[str, ColumnSource] = {}
         for name, source in self.columns.items():
             if name not in known:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import did_you_mean, listed
-from .._types import CHANNELS, WRENCH
+from .._types import BATTERY, CHANNELS, WRENCH
 from ._columns import ColumnMap, ColumnSource, replaced
 from ._craft import Craft, free_poses, free_velocities
 from ._frames import in_our_axes
@@ -165,7 +165,7 @@ def _of_table(
     # A file's column that the map claims does not serve under its own name as well.
     claimed = {one.source for one in (mapped | clocks).values()}
     taken = claimed | {*mapped} | replaced(mapped)
-    named = ("t", *CHANNELS, *vehicle.command_names, *WRENCH)
+    named = dict.fromkeys(("t", *CHANNELS, *vehicle.command_names, *WRENCH, BATTERY))
     sources = mapped | _as_named(name for name in named if name in table and name not in taken)
     for name, one in sources.items():
         clock = one.clock or sources.get("t", one)
@@ -246,7 +246,8 @@ def _on_one_clock(
     ordered, notes = in_order(series, labels, path)
     ours = in_our_axes(ordered, columns.frame, path)
     main = free_poses(tuple(vehicle.dof)) + free_velocities(tuple(vehicle.dof))
-    t, found, done = on_one_clock(ours, main, (*vehicle.command_names, *WRENCH), columns.time.dt, path)
+    held = (*vehicle.command_names, *WRENCH, BATTERY)
+    t, found, done = on_one_clock(ours, main, held, columns.time.dt, path)
     t, told = from_start(t)
     notes += told
     table = {name: pd.Series(values) for name, values in ({"t": t} | found).items()}

@@ -9,7 +9,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import listed
-from .._types import ATTITUDE, CHANNELS, WRENCH
+from .._types import ATTITUDE, BATTERY, CHANNELS, WRENCH
 from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
@@ -61,6 +61,7 @@ def read_log(
         commands=commands,
         wrench=wrench,
         command_names=tuple(vehicle.command_names),
+        battery=_battery(file, vehicle),
         name=name,
         notes=tuple(Note.on(name, sentence) for sentence in file.notes),
     )
@@ -73,6 +74,8 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     data |= {name: log.channels[:, CHANNELS.index(name)] for name in log.measured}
     if log.commands is not None:
         data |= dict(zip(log.command_names, log.commands.T, strict=True))
+    if log.battery is not None:
+        data[BATTERY] = log.battery
     if log.wrench is not None:
         data |= dict(zip(WRENCH, log.wrench.T, strict=True))
     write_table(pd.DataFrame(data), path)
@@ -199,6 +202,13 @@ def _commands(file: MappedFile, vehicle: Craft) -> np.ndarray:
             )
         columns.append(np.clip(command, -limit, limit))
     return np.stack(columns, axis=1)
+
+
+def _battery(file: MappedFile, vehicle: Craft) -> np.ndarray | None:
+    """Its voltage, if it is no command; empty cells hold the last value, the first one before that."""
+    if BATTERY not in file or BATTERY in vehicle.command_names or np.isnan(file[BATTERY]).all():
+        return None
+    return pd.Series(file[BATTERY]).ffill().bfill().to_numpy()
 
 
 def _held(file: MappedFile, name: str) -> np.ndarray:

@@ -42,6 +42,7 @@ _TITLES = {
     "surface_rate": "rate of the control surfaces",
     "cross_flow_drag": "drag across the flow",
     "wind": "load of the wind",
+    "voltage": "thrust by the battery's voltage",
 }
 _AXIS_TITLES = {
     "added_mass": "added mass in {}",
@@ -337,6 +338,14 @@ def _wind(f: Finding, v: Vehicle) -> str:
     return f"the wind pushes otherwise than the file says (first harmonics plus {_listed(f)})"
 
 
+def _voltage(f: Finding, v: Vehicle) -> str:
+    share = number(100.0 * 0.9 ** _value(f, "exponent"), 2)
+    return (
+        f"thrust goes with the battery's voltage: at nine tenths of it there is {share} % as much (power "
+        f"{_pm(f, 'exponent')} more than the file's)"
+    )
+
+
 def _thrust_curve(f: Finding, v: Vehicle) -> str:
     half = percent(1.0 - _value(f, "quadratic") / 2)
     return (
@@ -465,6 +474,7 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "wake": _wake,
     "cross_flow_drag": _cross_flow_drag,
     "wind": _wind,
+    "voltage": _voltage,
     "thrust_curve": _thrust_curve,
     "thruster_lag": _thruster_lag,
     "input_delay": _input_delay,
