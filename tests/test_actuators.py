@@ -344,6 +344,58 @@ def test_wind_pushes_where_it_blows(tmp_path):
     assert np.isfinite(np.asarray(slopes)).all()
 
 
+def blown(folder) -> tuple[jm.Vehicle, pd.DataFrame]:
+    """A craft with wind, and its log with the apparent one: half a turn at speed, in a wind from 2 rad."""
+    craft = read(folder, BARE + WIND)
+    t = np.arange(0, 10, 0.1)
+    psi = 0.3 + 0.2 * t
+    u, v = 1.0 + 0.02 * t, np.full_like(t, 0.2)
+    over = [-6.0 * np.cos(2.0 - psi) - u, -6.0 * np.sin(2.0 - psi) - v]
+    table = {"t": t, "psi": psi, "u": u, "v": v, "r": np.full_like(t, 0.2)}
+    table |= {"apparent_wind_speed": np.hypot(*over), "apparent_wind_angle": np.arctan2(-over[1], -over[0])}
+    return craft, pd.DataFrame(table)
+
+
+def test_the_wind_may_be_measured_on_the_craft(tmp_path):
+    craft, table = blown(tmp_path)
+    log = jm.read_log(table, craft)
+    assert log.commands is not None
+    np.testing.assert_allclose(log.commands[:, 0], 6.0, rtol=1e-3)
+    np.testing.assert_allclose(np.cos(log.commands[:, 1] - 2.0), 1.0, rtol=1e-6)
+    # What is logged is what blows at the craft, whatever the true wind was.
+    k = 40
+    psi, speed, angle = (table[name][k] for name in ("psi", "apparent_wind_speed", "apparent_wind_angle"))
+    c, s = np.cos(psi), np.sin(psi)
+    nu = jnp.array([table["u"][k], 0.2, 0, 0, 0, 0.2])
+    turn = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    found = np.asarray(craft.plant().pushed(jnp.asarray(log.commands[k]), nu, nu, turn))
+    assert found[0] == pytest.approx(-0.5 * 1.225 * speed**2 * 0.4 * 0.6 * np.cos(angle), rel=1e-3)
+    in_degrees = jm.logs.ColumnMap.model_validate(
+        {"columns": {"apparent_wind_angle": {"from": "awa", "unit": "deg"}}}
+    )
+    other = table.drop(columns="apparent_wind_angle").assign(awa=np.rad2deg(table["apparent_wind_angle"]))
+    again = jm.read_log(other, craft, in_degrees).commands
+    assert again is not None
+    np.testing.assert_allclose(again, log.commands)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda table: table.assign(wind_speed=6.0, wind_direction=2.0), "leave out one of the pairs"),
+        (lambda table: table.drop(columns="apparent_wind_angle"), "without `apparent_wind_angle`"),
+        (lambda table: table.drop(columns="psi"), "lacks `psi`"),
+        (lambda table: table.assign(apparent_wind_angle=90.0), "give m/s and radians"),
+        (lambda table: table.assign(apparent_wind_angle=np.nan), "has no value"),
+    ],
+)
+def test_a_wind_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, change, told):
+    craft, table = blown(tmp_path)
+    with pytest.raises(InputError, match=told) as error:
+        jm.read_log(change(table), craft)
+    assert "\n" not in str(error.value)
+
+
 AZIMUTH = """
 [[thruster]]
 name = "pod"

@@ -17,6 +17,7 @@ from ._log import Log
 from ._mapped import MappedFile, from_start, open_mapped
 from ._notes import Note
 from ._table import write_table
+from ._wind import add_true_wind
 
 # Fewer samples than this hold no window that could be compared with a simulation.
 _MIN_ROWS = 10
@@ -52,6 +53,7 @@ def read_log(
         if name in file:
             channels[:, index] = file[name]
     _check_motion(file, channels, vehicle.dof)
+    add_true_wind(file, t, channels, vehicle)
     commands, wrench = _drive(file, vehicle)
     file.note_ignored()
     name = "DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name
