@@ -28,6 +28,7 @@ from jaxmarine.effects import (
     place,
 )
 from jaxmarine.examples import hidden, operated, recorded
+from jaxmarine.fitting import gross_errors
 from jaxmarine.networks import learned_thrust
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
@@ -642,6 +643,28 @@ def test_a_log_beyond_the_limits_is_refused(ship):
             jm.read_log(pd.DataFrame(table | {name: 0 * t + value}), ship)
     with pytest.raises(InputError, match="rudder"):
         jm.read_log(pd.DataFrame({key: table[key] for key in table if key != "rudder"}), ship)
+
+
+@pytest.fixture(scope="module")
+def sailed(ship) -> jm.Log:
+    return hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))[0]
+
+
+@pytest.mark.parametrize(
+    ("column", "told"), [(None, None), (1, "Yaw answers opposite to rudder"), (0, "answers opposite to prop")]
+)
+def test_a_column_of_the_wrong_sign_is_told_by_check(ship, sailed, column, told):
+    assert sailed.commands is not None
+    signs = np.where(np.arange(2) == column, -1.0, 1.0)
+    # A file is off: here by a third less lift and twice the damping.
+    wrong = eqx.tree_at(lambda v: v.actuators[1].lift_slope, ship, jnp.array([1.6]))
+    wrong = eqx.tree_at(lambda v: v.damping.linear, wrong, 2.0 * ship.damping.linear)
+    log = dataclasses.replace(sailed, commands=sailed.commands * signs)
+    gross = [one.told for one in gross_errors(wrong, [log])]
+    assert len(gross) == (column is not None)
+    if told:
+        assert told in gross[0] and "has the wrong sign" in gross[0] and "\n" not in gross[0]
+        assert jm.check(wrong, log).gross[0] == gross[0]
 
 
 NAMED = ["propeller.wake_fraction[prop]", "surface.lift_slope[rudder]"]
