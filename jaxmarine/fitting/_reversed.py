@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._compiled import compiled
-from .._types import BATTERY, DOFS
+from .._types import DOFS
 from ..actuators import Supply, Wind
 from ..logs import Log, smooth_states
 from ..physics import from_euler, rotation, thrust
@@ -24,11 +24,10 @@ from ..vehicle import Plant, Vehicle
 from ._clock import BLOCKS, FEWEST, STRETCH, impulses, integrals, others
 from ._driven import padded
 
-# A coefficient is that of a wrong sign from this on, by so many standard errors: what drives a craft under an
-# autopilot answers its motion, which bends the coefficients of weak columns, but by less than they are.
-_WRONG, _SIGMAS = -1 / 3, 4.0
-# A column is asked for on the axes on which what it gives is no less than this share of the strongest's.
-_LEAST = 0.2
+# A coefficient is that of a wrong sign between these, by so many standard errors. What an autopilot tells its
+# rudder answers the motion, which bends a coefficient, but not by more than it is; beyond the other, the
+# column hardly changes and stands for something else.
+_WRONG, _TOO_MUCH, _SIGMAS = -1 / 3, -3.0, 4.0
 
 
 class Reversed(NamedTuple):
@@ -57,56 +56,56 @@ def reversed_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[Reversed, .
         edges = np.arange(log.t[0], log.t[-1], STRETCH)
         nu = np.stack([np.interp(edges, log.t, one) for one in track.nu.T], axis=1)
         given = _given(vehicle, log, track.attitude, track.nu)
-        flat = impulses(log.t, given.reshape(len(given), -1), edges).reshape(-1, *given.shape[1:])
+        flat = impulses(log.t, given.reshape(len(given), -1), edges)
         around = integrals(log.t, others(track, vehicle.free > 0), edges)
-        parts.append((np.diff(nu, axis=0) @ mass.T, around, flat))
+        parts.append((np.diff(nu, axis=0) @ mass.T, around, flat.reshape(len(flat), *given.shape[1:])))
     width = max(part[1].shape[1] for part in parts)
     around = np.concatenate([np.pad(part[1], [(0, 0), (0, width - part[1].shape[1])]) for part in parts])
-    gained, pushed = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
+    gained, given = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
+    count = len(vehicle.drive_names)
+    pushed, still, whole = given[:, :count], given[:, count:-1], given[:, -1]
+    moves = (vehicle.free > 0) & (gained.std(axis=0) > 0)
+    if not moves.any() or len(gained) < max(BLOCKS, FEWEST * (width + 2)):
+        return ()
     found = []
-    for a in np.flatnonzero((vehicle.free > 0) & (gained.std(axis=0) > 0)):
-        found += _on_axis(np.array(vehicle.drive_names), told, int(a), gained[:, a], around, pushed[:, :, a])
-    # Each column once, on the axis that tells most.
-    best = {one.column: one for one in sorted(found, key=lambda one: one.sigmas)}
-    return tuple(best[name] for name in told if name in best)
+    for i, name in enumerate(vehicle.drive_names):
+        if name in told:
+            # On the axis of whose motion it makes the largest part. At rest, if it gives anything there: what a
+            # propeller does in motion to a rudder behind it has the rudder's sign.
+            size = (still[:, i] if np.ptp(still[:, i]) > 0 else pushed[:, i]).std(axis=0)
+            size = size / np.maximum(gained.std(axis=0), 1e-12)
+            a = int(np.argmax(np.where(moves, size, 0.0)))
+            own = pushed[:, i, a]
+            regressors = np.stack([own, whole[:, a] - own], axis=1)
+            factor, std = _regressed(gained[:, a], np.concatenate([regressors, around], axis=1))
+            if _TOO_MUCH < factor < _WRONG and factor + _SIGMAS * std < 0:
+                found.append(Reversed(name, DOFS[a], factor, -factor / std))
+    return tuple(found)
 
 
-def _on_axis(
-    names: np.ndarray,
-    told: Sequence[str],
-    axis: int,
-    gained: Float[np.ndarray, " stretches"],
-    around: Float[np.ndarray, "stretches others"],
-    pushed: Float[np.ndarray, "stretches columns"],
-) -> list[Reversed]:
-    """Those of `told` that act on one axis with the wrong sign."""
-    size = pushed.std(axis=0)
-    # Without the battery all thrust would be missing: that is the thrusters' once more.
-    used = (size > _LEAST * size.max()) & (names != BATTERY)
-    count = int(used.sum())
-    if not count or len(gained) < max(BLOCKS, FEWEST * (around.shape[1] + count)):
-        return []
-    columns = np.concatenate([pushed[:, used], around], axis=1)
+def _regressed(
+    gained: Float[np.ndarray, " stretches"], columns: Float[np.ndarray, "stretches regressors"]
+) -> tuple[float, float]:
+    """The coefficient of the first column, and its standard error by the scatter over blocks of the logs."""
+    # Without units, and without what the others tell already.
     scale = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
     inverse = np.linalg.pinv(columns / scale, rcond=1e-6)
     slopes = inverse @ gained
     rest = gained - columns / scale @ slopes
-    # By the scatter over blocks of the logs, and no less than that of stretches one by one.
     starts = np.searchsorted(np.arange(len(gained)) * BLOCKS // len(gained), np.arange(BLOCKS))
-    added = np.add.reduceat(inverse * rest, starts, axis=1)
-    std = np.sqrt((added**2).sum(axis=1) * BLOCKS / (BLOCKS - 1) + (inverse**2).sum(axis=1) * rest.var())
-    factor, std = (slopes / scale)[:count], (std / scale)[:count]
-    return [
-        Reversed(str(name), DOFS[axis], float(value), float(-value / error))
-        for name, value, error in zip(names[used], factor, std, strict=True)
-        if name in told and value + _SIGMAS * error < 0 and value < _WRONG
-    ]
+    added = np.add.reduceat(inverse[0] * rest, starts)
+    # Of some blocks the scatter is a rough number: never less than that of stretches one by one.
+    variance = max((added**2).sum() * BLOCKS / (BLOCKS - 1), (inverse[0] ** 2).sum() * rest.var())
+    return float(slopes[0] / scale[0]), float(np.sqrt(variance) / scale[0])
 
 
 def _given(
     vehicle: Vehicle, log: Log, attitude: np.ndarray, nu: np.ndarray
-) -> Float[np.ndarray, "times columns 6"]:
-    """What each column gives at each sample by the file: what would be missing if it stood at zero."""
+) -> Float[np.ndarray, "times parts 6"]:
+    """What each column gives at each sample by the file: what would be missing if it stood at zero.
+
+    Behind these what each gives by itself, the craft at rest and, as the last, what all give together.
+    """
     count = len(vehicle.drive_names)
     commands = log.commanded(vehicle.command_names)
     assert commands is not None
@@ -122,7 +121,11 @@ def _each(plant: Plant, t, commands, attitude, nu):
     def each(acting, attitude, nu):
         turn = from_euler(attitude)
         flow = plant.relative(turn, nu), nu, rotation(turn)
-        without = jax.vmap(lambda keep: free.pushed(acting * keep, *flow))(1.0 - jnp.eye(len(acting)))
-        return free.pushed(acting, *flow)[None] - without
+        eye = jnp.eye(len(acting))
+
+        without = jax.vmap(lambda share: free.pushed(acting * share, *flow))(1.0 - eye)
+        still = jax.vmap(lambda share: free.pushed(acting * share, jnp.zeros(6)))(eye)
+        whole = free.pushed(acting, *flow)[None]
+        return jnp.concatenate([whole - without, still, whole])
 
     return jax.vmap(each)(thrust(drive, t, commands).mean, attitude, nu)
