@@ -164,7 +164,7 @@ def tricks() -> dict[str, Trick]:
             (between(100.0, 200.0, 1.0),),
             signals=("t",),
         ),
-        "wind": Trick("a constant force in earth axes", (), (wind(1.0),), signals=("psi",)),
+        "wind": Trick("a constant force in earth axes", ("wind_push",), (wind(1.0),)),
         "cancelling": Trick(
             "more thrust and more drag in surge", ("thruster_gain:all", "linear_damping:surge"), heavier
         ),

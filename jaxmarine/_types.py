@@ -23,6 +23,12 @@ RATE = ("p", "q", "r")
 ACCELERATION = ("du", "dv", "dw")
 ANGULAR_ACCELERATION = ("dp", "dq", "dr")
 WRENCH = ("X", "Y", "Z", "K", "M", "N")
+# The column of the battery's voltage [V].
+BATTERY = "battery"
+# The wind that blows over the ground, and as a craft that moves feels it: speed [m/s], and whence [rad],
+# clockwise from north and from the bow.
+WIND = ("wind_speed", "wind_direction")
+APPARENT_WIND = ("apparent_wind_speed", "apparent_wind_angle")
 
 # Every channel that a log can measure, in the order of all channel arrays.
 CHANNELS = POSITION + ATTITUDE + VELOCITY + RATE + ACCELERATION + ANGULAR_ACCELERATION

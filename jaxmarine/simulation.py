@@ -263,7 +263,8 @@ def simulate(
     """
     acting, segment = np.unique(gates(vehicle, log, earlier), axis=0, return_inverse=True)
     count = len(vehicle.command_names)
-    commands = jnp.zeros((len(log.t), count)) if log.commands is None else jnp.asarray(log.commands)
+    given = log.commanded(vehicle.command_names)
+    commands = jnp.zeros((len(log.t), count)) if given is None else jnp.asarray(given)
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
     # A gap in the log is one long hold.
     lengths = np.asarray(step_lengths(jnp.asarray(log.t)))

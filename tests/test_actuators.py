@@ -13,7 +13,7 @@ import scipy.integrate
 import jaxmarine as jm
 from jaxmarine import InputError
 from jaxmarine._tables import Number, Table
-from jaxmarine.actuators import KINDS, AbstractActuators, Flow, servo
+from jaxmarine.actuators import KINDS, AbstractActuators, Flow, Supply, servo
 from jaxmarine.effects import (
     ActuatorEffect,
     ConstantWrench,
@@ -23,14 +23,16 @@ from jaxmarine.effects import (
     SurfaceStuck,
     Suspect,
     ThrusterGain,
+    Voltage,
     Wake,
     place,
 )
-from jaxmarine.examples import hidden
+from jaxmarine.examples import hidden, operated, recorded
+from jaxmarine.fitting import gross_errors
 from jaxmarine.networks import learned_thrust
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
-from jaxmarine.vehicle_io import suspect_named
+from jaxmarine.vehicle_io import cause_named, suspect_named
 
 SHIP = """
 schema = 1
@@ -343,6 +345,58 @@ def test_wind_pushes_where_it_blows(tmp_path):
     assert np.isfinite(np.asarray(slopes)).all()
 
 
+def blown(folder) -> tuple[jm.Vehicle, pd.DataFrame]:
+    """A craft with wind, and its log with the apparent one: half a turn at speed, in a wind from 2 rad."""
+    craft = read(folder, BARE + WIND)
+    t = np.arange(0, 10, 0.1)
+    psi = 0.3 + 0.2 * t
+    u, v = 1.0 + 0.02 * t, np.full_like(t, 0.2)
+    over = [-6.0 * np.cos(2.0 - psi) - u, -6.0 * np.sin(2.0 - psi) - v]
+    table = {"t": t, "psi": psi, "u": u, "v": v, "r": np.full_like(t, 0.2)}
+    table |= {"apparent_wind_speed": np.hypot(*over), "apparent_wind_angle": np.arctan2(-over[1], -over[0])}
+    return craft, pd.DataFrame(table)
+
+
+def test_the_wind_may_be_measured_on_the_craft(tmp_path):
+    craft, table = blown(tmp_path)
+    log = jm.read_log(table, craft)
+    assert log.commands is not None
+    np.testing.assert_allclose(log.commands[:, 0], 6.0, rtol=1e-3)
+    np.testing.assert_allclose(np.cos(log.commands[:, 1] - 2.0), 1.0, rtol=1e-6)
+    # What is logged is what blows at the craft, whatever the true wind was.
+    k = 40
+    psi, speed, angle = (table[name][k] for name in ("psi", "apparent_wind_speed", "apparent_wind_angle"))
+    c, s = np.cos(psi), np.sin(psi)
+    nu = jnp.array([table["u"][k], 0.2, 0, 0, 0, 0.2])
+    turn = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    found = np.asarray(craft.plant().pushed(jnp.asarray(log.commands[k]), nu, nu, turn))
+    assert found[0] == pytest.approx(-0.5 * 1.225 * speed**2 * 0.4 * 0.6 * np.cos(angle), rel=1e-3)
+    in_degrees = jm.logs.ColumnMap.model_validate(
+        {"columns": {"apparent_wind_angle": {"from": "awa", "unit": "deg"}}}
+    )
+    other = table.drop(columns="apparent_wind_angle").assign(awa=np.rad2deg(table["apparent_wind_angle"]))
+    again = jm.read_log(other, craft, in_degrees).commands
+    assert again is not None
+    np.testing.assert_allclose(again, log.commands)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda table: table.assign(wind_speed=6.0, wind_direction=2.0), "leave out one of the pairs"),
+        (lambda table: table.drop(columns="apparent_wind_angle"), "without `apparent_wind_angle`"),
+        (lambda table: table.drop(columns="psi"), "lacks `psi`"),
+        (lambda table: table.assign(apparent_wind_angle=90.0), "give m/s and radians"),
+        (lambda table: table.assign(apparent_wind_angle=np.nan), "has no value"),
+    ],
+)
+def test_a_wind_that_cannot_be_used_is_refused_in_one_sentence(tmp_path, change, told):
+    craft, table = blown(tmp_path)
+    with pytest.raises(InputError, match=told) as error:
+        jm.read_log(change(table), craft)
+    assert "\n" not in str(error.value)
+
+
 AZIMUTH = """
 [[thruster]]
 name = "pod"
@@ -382,6 +436,63 @@ def test_thrust_goes_with_the_battery(tmp_path):
     jm.save_vehicle(craft, tmp_path / "again.toml")
     again = jm.load_vehicle(tmp_path / "again.toml")
     assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), again, craft))
+
+
+def drained(craft: jm.Vehicle, exponent: float, folder, seconds: float, seed: int) -> pd.DataFrame:
+    """A log of a craft on a battery that sinks from 17 to 13 V, its thrust with a power of that over 15 V."""
+    battery = Supply.unfiled(craft.thruster_names, 15.0)
+    truth = dataclasses.replace(craft, actuators=(*craft.actuators, battery))
+    truth = truth.place(cause_named(truth, f"voltage exponent={exponent}"))
+    t = np.arange(0.0, seconds, 0.1)
+    commands = operated(truth, t, seed)
+    commands[:, -1] = np.linspace(17.0, 13.0, len(t))
+    jm.write_log(recorded(truth, commands, t, seed, "log"), folder / "log.csv")
+    return pd.read_csv(folder / "log.csv")
+
+
+def test_thrust_by_the_battery_is_a_power_of_its_voltage(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH.replace("lag = 0.2", "nominal_voltage = 16.0"))
+    worn = craft.place(cause_named(craft, "voltage exponent=0.5"))
+    found = np.asarray(worn.plant().pushed(jnp.array([40.0, 10.0, 0.0, 14.0]), jnp.zeros(6)))
+    np.testing.assert_allclose(found[:2], [40 * (14 / 16) ** 1.5, 10], rtol=1e-9)
+
+
+def test_the_voltage_is_read_beside_the_commands(tmp_path):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    table = drained(craft, 1.5, tmp_path, 5.0, 1)
+    log = jm.read_log(table.assign(battery=table["battery"].mask(table["t"] < 1.0)), craft)
+    assert log.commands is not None and log.commands.shape[1] == 3 and log.battery is not None
+    assert not any("battery" in note for note in log.notes)
+    np.testing.assert_allclose(log.battery[:11], table["battery"][10])
+    # A vehicle whose thrust hangs on it takes it from there, and says so where it lacks.
+    supplied = read(tmp_path, BARE + AZIMUTH.replace("lag = 0.2", "nominal_voltage = 15.0"))
+    log = jm.read_log(table, craft)
+    np.testing.assert_array_equal(
+        log.commanded(supplied.command_names), jm.read_log(table, supplied).commands
+    )
+    part = log.between(1.0, 2.0).battery
+    assert part is not None and part.shape == (10,)
+    with pytest.raises(InputError, match="battery"):
+        dataclasses.replace(log, battery=None).commanded(supplied.command_names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponent", [0.0, 1.5])
+def test_thrust_that_sinks_with_the_battery_is_found(tmp_path, exponent):
+    craft = read(tmp_path, BARE + AZIMUTH)
+    logs = [jm.read_log(drained(craft, exponent, tmp_path, s, i), craft) for i, s in enumerate((120.0, 60.0))]
+    found = jm.diagnose(craft, *logs, catalogue=(*FEW, Voltage))
+    assert [finding.label for finding in found.findings] == ["voltage"] * bool(exponent)
+    if not exponent:
+        assert found.extended.command_names == craft.command_names
+        return
+    parameter = found.findings[0].parameters["exponent"]
+    assert parameter.value == pytest.approx(exponent, abs=4 * parameter.std)
+    jm.save_vehicle(found.extended, tmp_path / "extended.toml")
+    again = jm.load_vehicle(tmp_path / "extended.toml")
+    start = jm.initial_state(again)
+    one, other = (jm.simulate(craft, logs[1], start)["u"] for craft in (found.extended, again))
+    np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_a_propeller_swivels(tmp_path):
@@ -532,6 +643,28 @@ def test_a_log_beyond_the_limits_is_refused(ship):
             jm.read_log(pd.DataFrame(table | {name: 0 * t + value}), ship)
     with pytest.raises(InputError, match="rudder"):
         jm.read_log(pd.DataFrame({key: table[key] for key in table if key != "rudder"}), ship)
+
+
+@pytest.fixture(scope="module")
+def sailed(ship) -> jm.Log:
+    return hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))[0]
+
+
+@pytest.mark.parametrize(
+    ("column", "told"), [(None, None), (1, "Yaw answers opposite to rudder"), (0, "answers opposite to prop")]
+)
+def test_a_column_of_the_wrong_sign_is_told_by_check(ship, sailed, column, told):
+    assert sailed.commands is not None
+    signs = np.where(np.arange(2) == column, -1.0, 1.0)
+    # A file is off: here by a third less lift and twice the damping.
+    wrong = eqx.tree_at(lambda v: v.actuators[1].lift_slope, ship, jnp.array([1.6]))
+    wrong = eqx.tree_at(lambda v: v.damping.linear, wrong, 2.0 * ship.damping.linear)
+    log = dataclasses.replace(sailed, commands=sailed.commands * signs)
+    gross = [one.told for one in gross_errors(wrong, [log])]
+    assert len(gross) == (column is not None)
+    if told:
+        assert told in gross[0] and "has the wrong sign" in gross[0] and "\n" not in gross[0]
+        assert jm.check(wrong, log).gross[0] == gross[0]
 
 
 NAMED = ["propeller.wake_fraction[prop]", "surface.lift_slope[rudder]"]

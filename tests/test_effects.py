@@ -13,6 +13,8 @@ import pytest
 
 from experiments.blind import catalogue as blind_catalogue
 from experiments.blind import plant as blind
+from jaxmarine.actuators import Wind
+from jaxmarine.actuators._wind import WindTable
 from jaxmarine.effects import (
     CATALOGUE,
     ActuatorEffect,
@@ -21,6 +23,7 @@ from jaxmarine.effects import (
     Motion,
     SensorEffect,
     TurningLift,
+    WindPush,
     WrenchEffect,
     place,
 )
@@ -202,6 +205,23 @@ def test_lift_opposes_drift_and_turns_ahead_and_astern():
         motion = Motion(none, turn, nu, nu, six, zero, none)
         np.testing.assert_allclose(hull(motion), [0, -2 * 0.5 * v, -5 * 0.5 * w, 0, -7 * u * w, -3 * u * v])
         np.testing.assert_allclose(turning(motion), [0, -2 * u * r, 0, 0, 0, -3 * 0.5 * r])
+
+
+def test_a_wind_pushes_to_one_side_whatever_the_heading():
+    push = WindPush(jnp.asarray(3.0), jnp.asarray(-2.0))
+    for psi in (0.0, 0.7, -2.0):
+        c, s = np.cos(psi), np.sin(psi)
+        turn, none, six = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), jnp.zeros(3), jnp.ones(6)
+        found = push(Motion(none, turn, six, six, six, jnp.zeros(()), none))
+        np.testing.assert_allclose(found, [3 * c - 2 * s, -3 * s - 2 * c, 0, 0, 0, 0], atol=1e-12)
+
+
+def test_a_push_of_the_wind_is_suspected_afloat_where_no_wind_is_logged():
+    boat = packaged("cybership2")
+    assert WindPush.suspects(boat) and not WindPush.suspects(packaged("tethra"))
+    table = {"frontal_area": 0.1, "lateral_area": 0.3, "length": 1.2, "surge": (-0.6,), "sway": (-0.8,)}
+    logged = Wind.of([WindTable(**table)])
+    assert not WindPush.suspects(dataclasses.replace(boat, actuators=(logged,)))
 
 
 @pytest.mark.parametrize(

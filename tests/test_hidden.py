@@ -21,6 +21,7 @@ from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._search import search
 from jaxmarine.effects import CATALOGUE
+from jaxmarine.vehicle_io import packaged_vehicle
 
 # As long as those of other tests, so that a vehicle's programs are compiled once.
 TRAIN, TEST = 120.0, 60.0
@@ -31,7 +32,7 @@ BOAT, ROV = "cybership2", "tethra"
 # One seed of every effect of the catalogue. On a boat that is fast, and therefore always run:
 ALWAYS = {"thruster_lag": 2}
 # What came later has seeds of its own, which leaves the others theirs.
-LATER = {"reverse_thrust": 80, "turning_lift": 81}
+LATER = {"reverse_thrust": 80, "turning_lift": 81, "wind_push": 82}
 # What is looked at before anything is fitted has tests of its own (`test_gross.py`).
 GROSS = {"compass_deviation", "exchanged_thrusters", "sensor_delay"}
 # Of the others some can be seen on a craft that moves in all six axes only.
@@ -92,7 +93,10 @@ SINGLES = [
 
 
 def test_every_effect_of_the_catalogue_is_hidden_in_some_log():
-    assert {*ALWAYS, *SINGLE, *IN_SIX_AXES, *GROSS} == {effect.name for effect in jm.effects.CATALOGUE}
+    crafts = [jm.load_vehicle(packaged_vehicle(ship)) for ship in (BOAT, ROV)]
+    # What other actuators may have hidden is found in `test_actuators.py`.
+    suspected = {cls.name for cls in CATALOGUE if any(cls.suspects(craft) for craft in crafts)}
+    assert {*ALWAYS, *SINGLE, *IN_SIX_AXES, *GROSS} == suspected
 
 
 @pytest.mark.parametrize(("ship", "name", "seed"), SINGLES)

@@ -734,6 +734,7 @@ SENTENCES = {
     "exchanged_thrusters": ("port+star", {}, "each holds the other's command"),
     "gyro_bias": (None, {"r": 0.5236}, "plus a constant (r 30 ± 11 °/s)"),
     "steady_current": (None, {"north": 0.0, "east": -1.0}, "1 m/s towards 270°"),
+    "wind_push": (None, {"north": 0.0, "east": -3.0}, "3 N, as of the wind, pushes towards 270°"),
     "surface_gain": ("rudder", {"factor": -0.5}, "it acts the wrong way"),
     "surface_offset": ("rudder", {"angle": 0.5236}, "stands 30 ± 11° beside its command"),
     "surface_stuck": ("rudder", {"angle": -0.5236}, "stuck at −30 ± 11°"),
@@ -741,6 +742,7 @@ SENTENCES = {
     "surface_rate": (None, {"limit": 0.5236}, "no faster than 30 ± 11°/s"),
     "wake": ("prop", {"fraction": 0.1}, "the wake fraction of `prop`"),
     "cross_flow_drag": (None, {"coefficient": 0.5}, "across the flow is that of the file plus"),
+    "voltage": (None, {"exponent": 1.0}, "at nine tenths of it there is 90 % as much"),
     "wind": (None, {"surge": -0.1, "sway": 0.2}, "the wind pushes otherwise"),
     "unknown": ("roll", {}, "moment in roll acts on the vehicle that no known cause explains"),
 }

@@ -136,6 +136,9 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
                 ),
                 0.05 * force, 0.6 * force, 5.0 * force,
             )  # fmt: skip
+        case "wind_push":
+            c = shares(rng, 2) * s.wrench[0]
+            return Draw(effect(lambda a: {"north": a * c[0], "east": a * c[1]}), 0.01, 0.4, 4.0)
         case "tether_drag":
             unit = s.drag[0] / s.speed[0]
             return Draw(effect(lambda a: {"coefficient": a * unit}), 0.02, 0.5, 8.0)
@@ -251,6 +254,8 @@ def names(vehicle: Vehicle) -> list[str]:
     ]  # fmt: skip
     if len(vehicle.free) == 6:
         out += ["buoyancy", "trim"]
+    if "heave" not in free_dofs(vehicle):
+        out += ["wind_push"]
     if not vehicle.lag.any():
         out += ["thruster_lag"]
     if not vehicle.deadband.any():

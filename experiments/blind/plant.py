@@ -163,7 +163,7 @@ class Model:
         self.gain, self.reverse, self.curve, self.inflow = np.ones(n), np.ones(n), v.curve.copy(), 0.0
         self.current, self.constant = np.zeros(3), np.zeros((6, 1))
         self.waves: Effect | None = None
-        self.tether = 0.0
+        self.tether, self.blown = 0.0, np.zeros(3)
         self.memory_row, self.memory_gain, self.memory_rate = 0, 0.0, 0.0
 
         for e in self.effects:
@@ -176,6 +176,8 @@ class Model:
                     self.waves = e
                 case "tether_drag":
                     self.tether += e.parameters["coefficient"]
+                case "wind_push":
+                    self.blown = self.blown + e.vector("north", "east", "down")
                 case "added_mass":
                     added[row, row] += value
                 case "payload":
@@ -328,6 +330,8 @@ class Model:
         if self.tether:
             v = through[:3]
             force[:3] -= self.tether * np.sqrt((v * v).sum(0)) * v
+        if self.blown.any():
+            force[:3] += np.tensordot(self.blown, r, axes=1)
         if self.waves is not None:
             w = self.waves.parameters
             swell = np.sin(2.0 * np.pi * t / w["period"] + w["phase"])

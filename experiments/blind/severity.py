@@ -100,6 +100,8 @@ def linear_suspects(vehicle: Vehicle) -> list[list[Effect]]:
     out.append([Effect("tether_drag", None, {"coefficient": 1e-3})])
     out.append([Effect("hull_lift", None, {k: 1e-3}) for k in ("Y_uv", "N_uv", "Z_uw", "M_uw")])
     out.append([Effect("turning_lift", None, {k: 1e-3}) for k in ("Y_ur", "N_ur")])
+    if "heave" not in dofs:
+        out.append([Effect("wind_push", None, {k: 1e-3}) for k in ("north", "east")])
     if len(dofs) == 6:
         out.append([Effect("buoyancy", None, {"force": 1e-3})])
         out.append([Effect("trim", None, {k: 1e-5}) for k in "xyz"])

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._tables import Table
-from .._types import Wrench
+from .._types import BATTERY, Wrench
 from ..physics import Drive
 from ._base import AbstractActuators, Flow, Stream, servo, stacked
 
@@ -24,7 +24,7 @@ class Supply(AbstractActuators):
     its voltage, and thrust goes with a power of that from one to two; Fossen (2021), sec. 9.1.
     """
 
-    key: ClassVar[str] = "battery"
+    key: ClassVar[str] = BATTERY
     title: ClassVar[str] = "Thrusters on the battery"
     table: ClassVar[type[Table]] = Table
 
@@ -44,6 +44,19 @@ class Supply(AbstractActuators):
         names, zero = tuple(one.name for one in those), jnp.zeros(1)
         return cls(nominal=nominal, exponent=exponent, delay=zero, lag=zero, names=names, places=places)
 
+    @classmethod
+    def unfiled(cls, names: Sequence[str], nominal: float) -> Self:
+        """All thrusters on a battery of this voltage [V], with which their thrust does not go."""
+        count, zero = len(names), jnp.zeros(1)
+        return cls(
+            nominal=jnp.full(count, nominal),
+            exponent=jnp.zeros(count),
+            delay=zero,
+            lag=zero,
+            names=tuple(names),
+            places=tuple(range(count)),
+        )
+
     def tables(self) -> list[dict[str, Any]]:
         return []
 
@@ -56,7 +69,7 @@ class Supply(AbstractActuators):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        return ("battery",)
+        return (BATTERY,)
 
     @property
     def limits(self) -> Float[np.ndarray, " columns"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from pydantic import Field
 
 from .._tables import Number, Table, finite, pair
-from .._types import Wrench
+from .._types import WIND, Wrench
 from ..physics import Drive
 from ._base import AbstractActuators, Flow, Stream, servo
 
@@ -48,7 +48,8 @@ class Wind(AbstractActuators):
     r"""$\frac12 \rho_a V_a^2 (A_T C_X, A_L C_Y, A_L L C_N)$ of the apparent wind, at `centre`.
 
     Its columns are the true wind's, `wind_speed` [m/s] and `wind_direction` [rad], from which it blows,
-    clockwise from north. The coefficients are harmonics of the apparent angle. Without wind there is no
+    clockwise from north; a log that has the apparent one instead is read with the craft's measured motion.
+    The coefficients are harmonics of the apparent angle. Without wind there is no
     force, and its slope is finite.
 
     Source: Blendermann (1994), J. Wind Eng. Ind. Aerodyn. 51, 339-351; Isherwood (1972), Trans. RINA 115.
@@ -83,7 +84,7 @@ class Wind(AbstractActuators):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        return "wind_speed", "wind_direction"
+        return WIND
 
     @property
     def limits(self) -> Float[np.ndarray, " columns"]:

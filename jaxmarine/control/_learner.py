@@ -175,4 +175,5 @@ def _joined(first: Log, then: Log) -> Log:
         channels=np.concatenate([first.channels, then.channels]),
         commands=both(first.commands, then.commands),
         wrench=both(first.wrench, then.wrench),
+        battery=both(first.battery, then.battery),
     )

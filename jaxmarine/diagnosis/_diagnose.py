@@ -26,6 +26,7 @@ from ._prepare import Opened, opened_with, sharpened
 from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
+from ._supplied import unsupplied
 from ._unnamed import ALONE, WITH_UNKNOWN, Answer, Unnamed, left_over, with_unknown
 from ._worth import buys_nothing, gain_at_home, measured_gain
 
@@ -69,7 +70,7 @@ def diagnose(
         answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
     terms, unlearned = _learned(bench, answer, progress)
-    extended = extended_by(bench, model, answer.dense).place(*terms)
+    extended = unsupplied(extended_by(bench, model, answer.dense).place(*terms), vehicle)
     progress(PREDICTING)
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
     changed = bool(model.members or terms or opened.exchanged or (answer.dense and answer.unknown))

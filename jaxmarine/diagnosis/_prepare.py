@@ -17,6 +17,7 @@ from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
+from ._supplied import supplied
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.
@@ -90,6 +91,7 @@ def opened_with(
     tests = (test,) if isinstance(test, Log) else tuple(test)
     if not tests:
         raise InputError("A diagnosis needs at least one test log.")
+    vehicle = supplied(vehicle, logs, tests, catalogue)
     notes = [note for log in (*logs, *tests) for note in log.notes]
     logs, tests, doubled = named_apart(logs, tests)
     moving(logs)

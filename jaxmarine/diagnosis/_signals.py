@@ -60,15 +60,16 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     state = np.zeros((len(log), count, 12))
     command = np.zeros((len(log), count, len(vehicle.drive_names)))
     behind = np.zeros((*command.shape, len(PLAYS)))
-    widths = np.outer(_largest(data, command.shape[-1]), PLAYS)
+    widths = np.outer(_largest(data, vehicle), PLAYS)
     for i, source in enumerate(data.logs):
         here = log == i
         track = smooth_states(source, vehicle.dof)
         sample = np.clip(np.round(middle[here]).astype(int), 0, len(source.t) - 1)
         t[here] = source.t[sample]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
-        if source.commands is not None:
-            given = np.asarray(source.commands)[:, : command.shape[-1]]
+        commands = source.commanded(vehicle.command_names)
+        if commands is not None:
+            given = np.asarray(commands)[:, : command.shape[-1]]
             command[here] = given[sample]
             behind[here] = _played(given, widths)[sample]
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
@@ -89,10 +90,12 @@ def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
     )
 
 
-def _largest(data: Cut, thrusters: int) -> Float[np.ndarray, " thrusters"]:
-    """The largest command of each thruster, 1 where it has none."""
-    given = [np.abs(log.commands[:, :thrusters]) for log in data.logs if log.commands is not None]
-    most = np.concatenate([np.zeros((1, thrusters)), *given]).max(axis=0)
+def _largest(data: Cut, vehicle: Vehicle) -> Float[np.ndarray, " columns"]:
+    """The largest command of each column, 1 where it has none."""
+    columns = len(vehicle.drive_names)
+    given = [log.commanded(vehicle.command_names) for log in data.logs]
+    sizes = [np.abs(one[:, :columns]) for one in given if one is not None]
+    most = np.concatenate([np.zeros((1, columns)), *sizes]).max(axis=0)
     return np.where(most > 0, most, 1.0)
 
 

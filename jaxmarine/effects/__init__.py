@@ -6,6 +6,7 @@ from ._actuator import SurfaceLag as SurfaceLag
 from ._actuator import SurfaceOffset as SurfaceOffset
 from ._actuator import SurfaceRate as SurfaceRate
 from ._actuator import SurfaceStuck as SurfaceStuck
+from ._actuator import Voltage as Voltage
 from ._actuator import Wake as Wake
 from ._actuator import WindLoad as WindLoad
 from ._base import (
@@ -127,6 +128,9 @@ from ._wrench import (
 from ._wrench import (
     Waves as Waves,
 )
+from ._wrench import (
+    WindPush as WindPush,
+)
 
 CATALOGUE: tuple[type[AbstractEffect], ...] = (
     ExchangedThrusters,
@@ -144,6 +148,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     SurfaceLag,
     SurfaceRate,
     Wake,
+    Voltage,
     CrossFlowDrag,
     WindLoad,
     SteadyCurrent,
@@ -158,6 +163,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     HullLift,
     TurningLift,
     TetherDrag,
+    WindPush,
     Waves,
     FluidMemory,
     VelocityLeverArm,

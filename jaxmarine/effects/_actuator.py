@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import Scalar
-from ..actuators import FREE, AbstractActuators, CrossFlow, Propellers, Surfaces, Wind
+from ..actuators import FREE, AbstractActuators, CrossFlow, Propellers, Supply, Surfaces, Wind
 from ._base import ActuatorEffect, Craft, Suspect, free, scalar, zeros
 
 
@@ -245,6 +245,38 @@ class CrossFlowDrag(ActuatorEffect):
         if not isinstance(actuators, CrossFlow):
             return actuators
         return dataclasses.replace(actuators, coefficient=actuators.coefficient + self.coefficient[None])
+
+
+class Voltage(ActuatorEffect):
+    """Thrust goes with (battery / nominal) to a power that is `exponent` more than the file's. Neutral: 0.
+
+    Where the file has no `nominal_voltage` its power is 0, and the nominal voltage the battery's mean over
+    the training logs (`supplied`). Source: a motor turns with its voltage, and thrust goes with a power of
+    that from one to two; Fossen (2021), sec. 9.1.
+    """
+
+    name = "voltage"
+    units = {"exponent": "1"}
+    plausible = {"exponent": (-1.0, 4.0)}
+    confused_with = ("thruster_gain:all", "thrust_curve", "quadratic_damping:surge")
+    shown_by = "the same commands with a full and with an empty battery"
+    advice = "thrust sinks with the battery: give the thrusters a nominal_voltage, or a supply that holds it"
+
+    exponent: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return () if all_of(craft, Supply) is None else (Suspect(cls, None, {"exponent": (0,)}),)
+
+    def changed(self, actuators: AbstractActuators) -> AbstractActuators:
+        if not isinstance(actuators, Supply):
+            return actuators
+        return dataclasses.replace(actuators, exponent=actuators.exponent + self.exponent)
 
 
 class WindLoad(ActuatorEffect):

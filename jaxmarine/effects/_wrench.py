@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import DOFS, Matrix6, Scalar, Wrench
+from ..actuators import Wind
 from ..physics import apply, norm
+from ._actuator import all_of
 from ._base import Craft, Motion, Suspect, WrenchEffect, free, per_dof, scalar, zeros
 
 
@@ -222,6 +224,39 @@ class TetherDrag(WrenchEffect):
     def __call__(self, motion: Motion) -> Wrench:
         v_r = motion.nu_r[:3]
         return jnp.concatenate([-self.coefficient * norm(v_r) * v_r, jnp.zeros(3)])
+
+
+class WindPush(WrenchEffect):
+    """A constant force at `o` in earth axes, as a steady wind's on what stands out of the water. Neutral: 0.
+
+    A vehicle file has no stiffness of a waterplane: what is free in heave is under water, where no wind
+    blows. Source: Fossen (2021), sec. 10.1 (wind forces), of a wind whose force does not turn with the craft.
+    """
+
+    name = "wind_push"
+    units = {"north": "N", "east": "N"}
+    confused_with = ("steady_current", "constant_wrench")
+    shown_by = "several headings, at rest and at speed"
+    advice = "wind, or a line under tension: nothing to mend; log the wind, and give the file a table [wind]"
+
+    north: Scalar
+    east: Scalar
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(scalar(), scalar())
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        afloat = free(craft, "surge", "sway") and not free(craft, "heave")
+        if not afloat or all_of(craft, Wind) is not None:
+            return ()
+        return (Suspect(cls, None, {"north": (0,), "east": (1,)}),)
+
+    def __call__(self, motion: Motion) -> Wrench:
+        force = jnp.stack([self.north, self.east, jnp.zeros_like(self.north)])
+        return jnp.concatenate([apply(motion.rotation.T, force), jnp.zeros(3)])
 
 
 class Waves(WrenchEffect):

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._compiled import compiled
 from ..logs import Log, StateTrack
@@ -40,31 +40,34 @@ def driven(vehicle: Vehicle, log: Log, track: StateTrack) -> Driven:
     behind = np.stack([np.interp(t - HALF, t, one) for one in track.nu.T], axis=1)
     nu_dot = (ahead - behind) / (2 * HALF)
     count = len(vehicle.drive_names)
-    commands = np.zeros((len(t), count)) if log.commands is None else log.commands[:, :count]
-    more = -len(t) % _GRAIN
-    arrays = [
-        jnp.asarray(np.pad(a, [(0, more), (0, 0)], mode="edge"))
-        for a in (commands, track.position, track.attitude, track.nu, nu_dot)
-    ]
-    after = t[-1] + (t[-1] - t[-2]) * np.arange(1, more + 1)
-    given, needed = _wrenches(plant, jnp.asarray(np.append(t, after)), *arrays)
-    given, needed = np.asarray(given)[: len(t)], np.asarray(needed)[: len(t)]
+    given = log.commanded(vehicle.command_names)
+    commands = np.zeros((len(t), count)) if given is None else given[:, :count]
+    arrays = padded(t, commands, track.position, track.attitude, track.nu, nu_dot)
+    acted, needed = _wrenches(plant, *arrays)
+    acted, needed = np.asarray(acted)[: len(t)], np.asarray(needed)[: len(t)]
     if log.wrench is not None:
-        given, able = log.wrench, np.abs(log.wrench).max(axis=0)
+        acted, able = log.wrench, np.abs(log.wrench).max(axis=0)
     else:
         drive, thrusters = plant.drive, len(vehicle.thruster_names)
         most = jnp.maximum(drive.max_thrust, drive.max_thrust_reverse) * drive.saturation
         able = np.abs(np.asarray(plant.allocation)) @ np.asarray(most)[:thrusters] + reach(plant)
-    return Driven(given * vehicle.free, needed * vehicle.free, able * vehicle.free)
+    return Driven(acted * vehicle.free, needed * vehicle.free, able * vehicle.free)
+
+
+def padded(t: np.ndarray, *columns: np.ndarray) -> list[Array]:
+    """Times and columns of a log, filled up to a length that many logs share (`_GRAIN`)."""
+    more = -len(t) % _GRAIN
+    after = t[-1] + (t[-1] - t[-2]) * np.arange(1, more + 1)
+    filled = [np.pad(one, [(0, more), (0, 0)], mode="edge") for one in columns]
+    return [jnp.asarray(np.append(t, after)), *map(jnp.asarray, filled)]
 
 
 def thrusts(vehicle: Vehicle, log: Log) -> Float[np.ndarray, "times thrusters"]:
     """Thrust [N] that each thruster's column asks for over each sample's hold, without inflow loss."""
-    count, more = len(vehicle.drive_names), -len(log.t) % _GRAIN
-    commands = np.zeros((len(log.t), count)) if log.commands is None else log.commands[:, :count]
-    after = log.t[-1] + (log.t[-1] - log.t[-2]) * np.arange(1, more + 1)
-    commands = jnp.asarray(np.pad(commands, [(0, more), (0, 0)], mode="edge"))
-    mean = np.asarray(_thrusts(vehicle.plant(), jnp.asarray(np.append(log.t, after)), commands))
+    count = len(vehicle.drive_names)
+    given = log.commanded(vehicle.command_names)
+    commands = np.zeros((len(log.t), count)) if given is None else given[:, :count]
+    mean = np.asarray(_thrusts(vehicle.plant(), *padded(log.t, commands)))
     return mean[: len(log.t), : len(vehicle.thruster_names)]
 
 

@@ -25,6 +25,7 @@ from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._kinematics import Contradiction, contradiction, kinematics, misread
 from ._responses import Reading, opposite, read_otherwise, responses
+from ._reversed import reversed_columns
 
 # A delay is told from half a sample on, and from this on [s]: less is how times are stamped.
 _SHARE, _LEAST = 0.5, 0.05
@@ -46,14 +47,16 @@ class GrossError(NamedTuple):
 def gross_errors(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
     """What is grossly wrong with logs and vehicle file together; mostly nothing.
 
-    What is `misconnected`, and sensors that contradict one another in a way that the catalogue names: earth
-    axes, a compass that deviates, sensors that come late (`contradiction`).
+    What is `misconnected`, columns of propellers, surfaces and swivels that act the wrong way, and sensors
+    that contradict one another in a way that the catalogue names: earth axes, a compass that deviates, those
+    that come late (`contradiction`).
     """
     wrong = misconnected(vehicle, logs)
     if any(not one.causes for one in wrong):
         return wrong
     suspects = _sensing(vehicle)
     found = contradiction(vehicle, logs, suspects)
+    wrong = (*wrong, *_of_others(vehicle, logs))
     return wrong if found is None else (*wrong, *_of_sensors(vehicle, logs, suspects, found))
 
 
@@ -124,6 +127,19 @@ def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]
     mirrored = any({*one.axes} & {"sway", "yaw"} for one in readings if one not in kept)
     other = ", or the log is mirrored (y, psi, v and r all have the wrong sign)" if mirrored else ""
     return (GrossError(f"{head}: {ways}{other}.", causes, readings[0].odds),)
+
+
+def _of_others(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
+    """Columns of propellers, surfaces and swivels that act the wrong way: a diagnosis has names for these."""
+    return tuple(
+        GrossError(
+            f"{one.axis.capitalize()} answers opposite to {one.column} ({one.factor:.1f} times what the file "
+            f"says): the column of {one.column} has the wrong sign, or the file its axis or direction.",
+            (),
+            0.5 * one.sigmas**2,
+        )
+        for one in reversed_columns(vehicle, logs)
+    )
 
 
 def _agreed(vehicle: Vehicle, logs: Sequence[Log]) -> set[str]:

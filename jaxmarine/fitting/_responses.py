@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import DOFS
+from ..actuators import Supply
 from ..logs import Log, smooth_states
 from ..vehicle import Vehicle
 from ._clock import BLOCKS, FEWEST, STRETCH, impulses, integrals, others
@@ -72,7 +73,9 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     Of thrusters alone: what others give hangs on the flow, and has no answer of one size.
     """
     logs = [log for log in logs if log.commands is not None and not np.ptp(log.t) < 4 * STRETCH]
-    if not logs or not vehicle.thruster_names or vehicle.actuators:
+    # What a sagging battery takes from all thrusters is less than what their file is commonly off.
+    others_push = any(not isinstance(one, Supply) for one in vehicle.actuators)
+    if not logs or not vehicle.thruster_names or others_push:
         return None
     mass, parts = np.asarray(vehicle.mass_matrix), []
     for log in logs:

@@ -171,7 +171,8 @@ def cut(
             return np.pad(values, [(0, short)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
         tail = t[-1] + steps[-1] * np.arange(1, short + 1)
-        commands = np.zeros((len(log.t), count)) if log.commands is None else log.commands
+        given = log.commanded(vehicle.command_names)
+        commands = np.zeros((len(log.t), count)) if given is None else given
         wrench = np.zeros((len(log.t), 6)) if log.wrench is None else log.wrench
         segment = np.zeros(len(log.t), int) if segments is None else segments[g]
         records["t"].append(np.concatenate([t, tail]))

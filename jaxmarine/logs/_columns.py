@@ -10,7 +10,18 @@ from pydantic import Field
 
 from .._errors import InputError
 from .._files import did_you_mean, read_toml, validated
-from .._types import ATTITUDE, CHANNEL_UNITS, CHANNELS, POSITION, RATE, VELOCITY, WRENCH
+from .._types import (
+    APPARENT_WIND,
+    ATTITUDE,
+    BATTERY,
+    CHANNEL_UNITS,
+    CHANNELS,
+    POSITION,
+    RATE,
+    VELOCITY,
+    WIND,
+    WRENCH,
+)
 
 # Units of a foreign file by the contract's unit of the same quantity, and what one is of that.
 _QUANTITIES = {
@@ -42,6 +53,8 @@ _UNIT_OF = {
     **CHANNEL_UNITS,
     **dict(zip(WRENCH, ("N",) * 3 + ("N m",) * 3, strict=True)),
     "altitude": "m",
+    **dict.fromkeys((WIND[0], APPARENT_WIND[0]), "m/s"),
+    **dict.fromkeys((WIND[1], APPARENT_WIND[1]), "rad"),
 }
 
 # Two ways to give the same quantity, of which a map takes one.
@@ -136,7 +149,17 @@ class ColumnMap(pydantic.BaseModel):
 
         Raises `InputError` that begins with `path` for a name that is none of them.
         """
-        known = ("t", *CHANNELS, *thrusters, *WRENCH, *_GROUPS, *QUATERNION, *GEODETIC)
+        known = (
+            "t",
+            *CHANNELS,
+            *thrusters,
+            *WRENCH,
+            BATTERY,
+            *APPARENT_WIND,
+            *_GROUPS,
+            *QUATERNION,
+            *GEODETIC,
+        )
         found: dict[str, ColumnSource] = {}
         for name, source in self.columns.items():
             if name not in known:
@@ -186,7 +209,7 @@ def _check_unit(path: object, name: str, part: str, unit: str | None, thrusters:
     """
     if unit is None:
         return
-    own = None if part in thrusters else _UNIT_OF.get(part)
+    own = None if part in thrusters and part not in WIND else _UNIT_OF.get(part)
     if own is None:
         what = "is in degrees" if part in GEODETIC else "has no unit"
         raise InputError(

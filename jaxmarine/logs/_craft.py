@@ -4,7 +4,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY, WRENCH
+from .._types import APPARENT_WIND, ATTITUDE, BATTERY, DOFS, POSITION, RATE, VELOCITY, WIND, WRENCH
 
 
 @runtime_checkable
@@ -24,6 +24,11 @@ class Craft(Protocol):
 
     @property
     def command_limits(self) -> np.ndarray: ...
+
+
+def beside(craft: Craft) -> tuple[str, ...]:
+    """Columns that a log may have beside the commands: the battery's, or what stands for the wind's."""
+    return (BATTERY, *APPARENT_WIND) if {*WIND} <= {*craft.command_names} else (BATTERY,)
 
 
 def free_poses(dof: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The log of one run, as arrays."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import CHANNELS
+from .._types import BATTERY, CHANNELS
 
 Reason = Literal["collision", "surfacing", "take-over"]
 
@@ -35,6 +36,7 @@ class Log(eqx.Module):
       `command_names`; held until the next sample.
     - `wrench`: applied control wrench X Y Z K M N at `o`, body axes [N, N m]; held likewise.
     - `name`: the file's name; `notes`: its history, what was done, found or ignored, sentence by sentence.
+    - `battery`: its voltage [V], held likewise, where it is logged and no command of the vehicle.
     - `rejected`: stretches that are left out: their channels are NaN, and no window touches them.
 
     Either `commands` or `wrench` drives the vehicle; the other one is None.
@@ -48,6 +50,7 @@ class Log(eqx.Module):
     name: str = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     rejected: tuple[Rejected, ...] = eqx.field(static=True, default=())
+    battery: Float[np.ndarray, " times"] | None = None
 
     def __check_init__(self):
         times = len(self.t)
@@ -85,6 +88,14 @@ class Log(eqx.Module):
         """Names of the channels with at least one sample."""
         return tuple(np.array(CHANNELS)[np.isfinite(self.channels).any(axis=0)].tolist())
 
+    def commanded(self, names: Sequence[str]) -> Float[np.ndarray, "times columns"] | None:
+        """The commands of a vehicle with these columns, which may ask for the voltage of the battery too."""
+        if self.commands is None or BATTERY not in names or BATTERY in self.command_names:
+            return self.commands
+        if self.battery is None:
+            raise InputError(f"{self.name}: lacks the column `{BATTERY}`, by which the thrust goes; add it.")
+        return np.insert(self.commands, list(names).index(BATTERY), self.battery, axis=1)
+
     def split(self, at: float) -> tuple["Log", "Log"]:
         """The samples before the time `at` [s, the log's own], and those from it on."""
         return self.between(-np.inf, at), self.between(at, np.inf)
@@ -109,4 +120,5 @@ class Log(eqx.Module):
             name=self.name,
             notes=self.notes,
             rejected=tuple(one for one in self.rejected if one.start < t1 and one.end >= t0),
+            battery=None if self.battery is None else self.battery[inside],
         )

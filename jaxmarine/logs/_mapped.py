@@ -13,7 +13,7 @@ from .._errors import InputError
 from .._files import did_you_mean, listed
 from .._types import CHANNELS, WRENCH
 from ._columns import ColumnMap, ColumnSource, replaced
-from ._craft import Craft, free_poses, free_velocities
+from ._craft import Craft, beside, free_poses, free_velocities
 from ._frames import in_our_axes
 from ._grid import in_order, on_one_clock
 from ._sources import Series, is_recording, open_recording
@@ -69,6 +69,12 @@ class MappedFile:
                 "sample is missing."
             )
         return values
+
+    def add(self, name: str, values: np.ndarray) -> None:
+        """One more contract column [rows], in the contract's units, made of others."""
+        self._table = {**self._table, name: pd.Series(values)}
+        self._sources |= _as_named([name])
+        self._labels = {**self._labels, name: f"`{name}`"}
 
     def raw(self, column: str) -> np.ndarray:
         """One of the file's columns [rows], in its own units."""
@@ -165,7 +171,7 @@ def _of_table(
     # A file's column that the map claims does not serve under its own name as well.
     claimed = {one.source for one in (mapped | clocks).values()}
     taken = claimed | {*mapped} | replaced(mapped)
-    named = ("t", *CHANNELS, *vehicle.command_names, *WRENCH)
+    named = dict.fromkeys(("t", *CHANNELS, *vehicle.command_names, *WRENCH, *beside(vehicle)))
     sources = mapped | _as_named(name for name in named if name in table and name not in taken)
     for name, one in sources.items():
         clock = one.clock or sources.get("t", one)
@@ -246,7 +252,8 @@ def _on_one_clock(
     ordered, notes = in_order(series, labels, path)
     ours = in_our_axes(ordered, columns.frame, path)
     main = free_poses(tuple(vehicle.dof)) + free_velocities(tuple(vehicle.dof))
-    t, found, done = on_one_clock(ours, main, (*vehicle.command_names, *WRENCH), columns.time.dt, path)
+    held = (*vehicle.command_names, *WRENCH, *beside(vehicle))
+    t, found, done = on_one_clock(ours, main, held, columns.time.dt, path)
     t, told = from_start(t)
     notes += told
     table = {name: pd.Series(values) for name, values in ({"t": t} | found).items()}

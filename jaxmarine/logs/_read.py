@@ -9,7 +9,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import listed
-from .._types import ATTITUDE, CHANNELS, WRENCH
+from .._types import ATTITUDE, BATTERY, CHANNELS, WRENCH
 from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
@@ -17,6 +17,7 @@ from ._log import Log
 from ._mapped import MappedFile, from_start, open_mapped
 from ._notes import Note
 from ._table import write_table
+from ._wind import add_true_wind
 
 # Fewer samples than this hold no window that could be compared with a simulation.
 _MIN_ROWS = 10
@@ -52,6 +53,7 @@ def read_log(
         if name in file:
             channels[:, index] = file[name]
     _check_motion(file, channels, vehicle.dof)
+    add_true_wind(file, t, channels, vehicle)
     commands, wrench = _drive(file, vehicle)
     file.note_ignored()
     name = "DataFrame" if isinstance(source, pd.DataFrame) else Path(source).name
@@ -61,6 +63,7 @@ def read_log(
         commands=commands,
         wrench=wrench,
         command_names=tuple(vehicle.command_names),
+        battery=_battery(file, vehicle),
         name=name,
         notes=tuple(Note.on(name, sentence) for sentence in file.notes),
     )
@@ -73,6 +76,8 @@ def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     data |= {name: log.channels[:, CHANNELS.index(name)] for name in log.measured}
     if log.commands is not None:
         data |= dict(zip(log.command_names, log.commands.T, strict=True))
+    if log.battery is not None:
+        data[BATTERY] = log.battery
     if log.wrench is not None:
         data |= dict(zip(WRENCH, log.wrench.T, strict=True))
     write_table(pd.DataFrame(data), path)
@@ -199,6 +204,13 @@ def _commands(file: MappedFile, vehicle: Craft) -> np.ndarray:
             )
         columns.append(np.clip(command, -limit, limit))
     return np.stack(columns, axis=1)
+
+
+def _battery(file: MappedFile, vehicle: Craft) -> np.ndarray | None:
+    """Its voltage, if it is no command; empty cells hold the last value, the first one before that."""
+    if BATTERY not in file or BATTERY in vehicle.command_names or np.isnan(file[BATTERY]).all():
+        return None
+    return pd.Series(file[BATTERY]).ffill().bfill().to_numpy()
 
 
 def _held(file: MappedFile, name: str) -> np.ndarray:

@@ -19,6 +19,7 @@ _TITLES = {
     "steady_current": "steady current",
     "waves": "waves",
     "tether_drag": "drag of a cable",
+    "wind_push": "push of the wind",
     "payload": "payload",
     "buoyancy": "buoyancy",
     "trim": "shifted centre of buoyancy",
@@ -41,6 +42,7 @@ _TITLES = {
     "surface_rate": "rate of the control surfaces",
     "cross_flow_drag": "drag across the flow",
     "wind": "load of the wind",
+    "voltage": "thrust by the battery's voltage",
 }
 _AXIS_TITLES = {
     "added_mass": "added mass in {}",
@@ -187,6 +189,13 @@ def _tether_drag(f: Finding, v: Vehicle) -> str:
     )
 
 
+def _wind_push(f: Finding, v: Vehicle) -> str:
+    north, east = _value(f, "north"), _value(f, "east")
+    towards = round(math.degrees(math.atan2(east, north))) % 360
+    force = number(math.hypot(north, east), 2)
+    return f"a steady force of {force} N, as of the wind, pushes towards {towards}° ({_listed(f)})"
+
+
 def _changed(matrix: np.ndarray, f: Finding) -> str:
     """`(file 77, now 89)`: the coefficient of the file and what it comes to with the finding."""
     i = DOFS.index(f.target) if f.target in DOFS else 0
@@ -329,6 +338,14 @@ def _wind(f: Finding, v: Vehicle) -> str:
     return f"the wind pushes otherwise than the file says (first harmonics plus {_listed(f)})"
 
 
+def _voltage(f: Finding, v: Vehicle) -> str:
+    share = number(100.0 * 0.9 ** _value(f, "exponent"), 2)
+    return (
+        f"thrust goes with the battery's voltage: at nine tenths of it there is {share} % as much (power "
+        f"{_pm(f, 'exponent')} more than the file's)"
+    )
+
+
 def _thrust_curve(f: Finding, v: Vehicle) -> str:
     half = percent(1.0 - _value(f, "quadratic") / 2)
     return (
@@ -435,6 +452,7 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "steady_current": _steady_current,
     "waves": _waves,
     "tether_drag": _tether_drag,
+    "wind_push": _wind_push,
     "added_mass": _added_mass,
     "payload": _payload,
     "buoyancy": _buoyancy,
@@ -456,6 +474,7 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "wake": _wake,
     "cross_flow_drag": _cross_flow_drag,
     "wind": _wind,
+    "voltage": _voltage,
     "thrust_curve": _thrust_curve,
     "thruster_lag": _thruster_lag,
     "input_delay": _input_delay,
