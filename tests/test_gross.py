@@ -209,6 +209,7 @@ def test_a_diagnosis_names_sensors_that_deviate_or_lag(name, target, values):
         assert one.value == pytest.approx(value, abs=4 * one.std + 0.1 * abs(value))
 
 
+@pytest.mark.slow
 def test_beside_an_axis_that_was_misread_no_name_is_believed():
     log, test = sailed(), sailed(seconds=60.0, seed=4)
     log, test = (dataclasses.replace(one, channels=_scaled(one.channels, [7], -1)) for one in (log, test))

@@ -164,6 +164,7 @@ def diagnosed(hidden: list, **options) -> tuple[jm.Diagnosis, jm.Log]:
     return jm.diagnose(craft, train, test, SUSPECTS), train
 
 
+@pytest.mark.slow
 def test_a_boat_that_stops_following_its_commands_is_not_called_disturbed():
     stops = Outside("taken over", ("surge", "yaw"), ("t",), pushed, deaf)
     diagnosis, log = diagnosed([stops])
