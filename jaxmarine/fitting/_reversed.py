@@ -70,8 +70,8 @@ def reversed_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[Reversed, .
     found = []
     for i, name in enumerate(vehicle.drive_names):
         if name in told:
-            # On the axis of whose motion it makes the largest part. At rest, if it gives anything there: what a
-            # propeller does in motion to a rudder behind it has the rudder's sign.
+            # On the axis of whose motion it makes the largest part. At rest, if it gives anything there: what
+            # a propeller does in motion to a rudder behind it has the rudder's sign.
             size = (still[:, i] if np.ptp(still[:, i]) > 0 else pushed[:, i]).std(axis=0)
             size = size / np.maximum(gained.std(axis=0), 1e-12)
             a = int(np.argmax(np.where(moves, size, 0.0)))
