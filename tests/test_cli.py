@@ -246,10 +246,10 @@ def test_a_window_of_ones_own_does_not_let_slow_sampling_pass(jaxmarine, folder)
 
 
 def test_what_reading_a_log_left_out_is_said(jaxmarine, folder):
-    spoil_log(lambda table: table.assign(battery=11.7))(folder)
+    spoil_log(lambda table: table.assign(humidity=11.7))(folder)
     code, out, err = jaxmarine(*call("simulate", folder))
     assert code == 0 and not err
-    assert "`battery`" in out
+    assert "`humidity`" in out
 
 
 def test_what_is_fitted_has_a_known_name(jaxmarine, folder):
