@@ -284,9 +284,8 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=() if case == "offset" else pytest.mark.slow) for case in HIDDEN]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", HIDDEN)
 def test_what_is_hidden_in_propeller_and_rudder_is_found(ship, case):
     effect, target, values = HIDDEN[case]
     logs = hidden(ship, effect, target, values, (60.0, 40.0))

@@ -58,10 +58,9 @@ def compiled(catalogue) -> Counter[str]:
     return names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("catalogue", "another"),
-    [(FEW, HullLift), pytest.param(CATALOGUE, CubicDrag, marks=pytest.mark.slow)],
-    ids=["few", "all"],
+    ("catalogue", "another"), [(FEW, HullLift), (CATALOGUE, CubicDrag)], ids=["few", "all"]
 )
 def test_an_effect_more_in_the_catalogue_compiles_nothing_more(unoptimised, catalogue, another):
     _compiled._options()  # asks the compiler once in a process

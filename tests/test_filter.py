@@ -10,6 +10,7 @@ from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
+from jaxmarine.diagnosis._innovations import remembered
 from jaxmarine.diagnosis._model import Model, Workbench
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.effects import LinearDamping, QuadraticDamping
@@ -159,13 +160,13 @@ def test_a_disturbance_of_no_size_is_none():
 # --- along the path of a craft ---------------------------------------------------------------------
 
 KNOWN = np.array([2.0, 1.5, 0.6])  # N, N, N m
-MEMORY = 5.0  # s
+MEMORY, LENGTH = 5.0, 240.0  # s
 
 
-def pushed_boat(size: np.ndarray, seconds: float = 240.0) -> Log:
+def pushed_boat(size: np.ndarray) -> Log:
     """A log of the boat by random wrenches, with a Gauss-Markov one on top that it does not hold."""
     rng, dt, free = np.random.default_rng(5), 0.1, [0, 1, 5]
-    samples = round(seconds / dt)
+    samples = round(LENGTH / dt)
     keep, wrench = np.exp(-dt / MEMORY), np.zeros((samples, 6))
     new = size * rng.normal(size=(samples, 3))
     for k in range(samples):
@@ -246,9 +247,24 @@ def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     assert again.log_score(larger) < again.log_score(model) - 0.01
 
 
+def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
+    """Its mean square within four standard errors, and nothing before tells of it; without memory it does."""
+    bench, model = disturbed
+    white = bench.whitened(model)
+    seen = white[np.isfinite(white)]
+    assert len(seen) == bench.samples
+    assert np.mean(seen**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(seen)))
+    assert remembered(bench, model) is None
+    beside = model.beside
+    small = dataclasses.replace(beside.force, size=0.1 * beside.force.size)
+    lacking = dataclasses.replace(model, beside=dataclasses.replace(beside, force=small))
+    found = remembered(bench, lacking)
+    assert found is not None and found.on is None and found.channel in ("u", "v", "r", "x", "y", "psi")
+
+
 def test_where_nothing_disturbs_sizes_go_to_zero():
     """To less than a tenth of what shows in the noise."""
-    bench, model = estimated_on(pushed_boat(np.zeros(3), 120.0))
+    bench, model = estimated_on(pushed_boat(np.zeros(3)))
     assert np.all(np.asarray(model.beside.force.size) < 0.15 * KNOWN)
     # And the likelihood is that of white noise: a coefficient is told as exactly.
     white, beside = (bench.screen(one) for one in (bench.undisturbed(model), model))

@@ -29,17 +29,17 @@ TRAIN, TEST = 120.0, 60.0
 SEVERITY = 3.0
 BOAT, ROV = "cybership2", "tethra"
 
-# One seed of every effect of the catalogue. On a boat that is fast, and therefore always run:
-ALWAYS = {"thruster_lag": 2}
+# One seed of every effect of the catalogue.
+FIRST = {"thruster_lag": 2}
 # What came later has seeds of its own, which leaves the others theirs.
 LATER = {"reverse_thrust": 80, "turning_lift": 81, "wind_push": 82}
 # What is looked at before anything is fitted has tests of its own (`test_gross.py`).
 GROSS = {"compass_deviation", "exchanged_thrusters", "sensor_delay"}
 # Of the others some can be seen on a craft that moves in all six axes only.
 _ON_A_BOAT = sorted({*catalogue.names(load(BOAT))} - {*LATER, *GROSS})
-SINGLE = {name: 4 + i for i, name in enumerate(_ON_A_BOAT) if name not in ALWAYS} | LATER
+SINGLE = FIRST | {name: 4 + i for i, name in enumerate(_ON_A_BOAT) if name not in FIRST} | LATER
 IN_SIX_AXES = {
-    name: 40 + i for i, name in enumerate(sorted({*catalogue.names(load(ROV))} - {*ALWAYS, *SINGLE, *GROSS}))
+    name: 40 + i for i, name in enumerate(sorted({*catalogue.names(load(ROV))} - {*SINGLE, *GROSS}))
 }
 PAIRS = {("steady_current", "thruster_gain"): 60, ("input_delay", "velocity_scale"): 61}
 BEGUN = {"constant_wrench": 62, "gyro_bias": 63}
@@ -86,9 +86,8 @@ def whole(answer: dict, diagnosis: dict) -> bool:
 
 
 SINGLES = [
-    *(pytest.param(BOAT, name, seed, id=name) for name, seed in ALWAYS.items()),
-    *(pytest.param(BOAT, name, seed, id=name, marks=pytest.mark.slow) for name, seed in SINGLE.items()),
-    *(pytest.param(ROV, name, seed, id=name, marks=pytest.mark.slow) for name, seed in IN_SIX_AXES.items()),
+    *(pytest.param(BOAT, name, seed, id=name) for name, seed in SINGLE.items()),
+    *(pytest.param(ROV, name, seed, id=name) for name, seed in IN_SIX_AXES.items()),
 ]
 
 
@@ -96,9 +95,10 @@ def test_every_effect_of_the_catalogue_is_hidden_in_some_log():
     crafts = [jm.load_vehicle(packaged_vehicle(ship)) for ship in (BOAT, ROV)]
     # What other actuators may have hidden is found in `test_actuators.py`.
     suspected = {cls.name for cls in CATALOGUE if any(cls.suspects(craft) for craft in crafts)}
-    assert {*ALWAYS, *SINGLE, *IN_SIX_AXES, *GROSS} == suspected
+    assert {*SINGLE, *IN_SIX_AXES, *GROSS} == suspected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ship", "name", "seed"), SINGLES)
 def test_one_effect_is_named_and_nothing_else(ship, name, seed):
     answer, diagnosis = answered(ship, [drawn(ship, name, seed)], seed)

@@ -183,6 +183,7 @@ def test_a_boat_that_stops_following_its_commands_is_not_called_disturbed():
         assert any(note.startswith(f"{dof}: from") for note in diagnosis.notes)
 
 
+@pytest.mark.slow
 def test_a_boat_in_gusts_is_called_disturbed():
     """Of a twelfth of the full thrust in surge."""
     share = 0.5 / cases.typical(load(SHIP), "rich").wrench[0]

@@ -17,6 +17,8 @@ from ._answer import extended_by, findings_of, groups, recalibrated, standard_er
 from ._disturbed import in_words
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
+from ._innovations import remembered
+from ._innovations import told as doubt
 from ._judge import Judged, judged
 from ._knots import missing_wrench
 from ._learn import learn
@@ -62,7 +64,7 @@ def diagnose(
     opened = opened_with(vehicle, train, test, catalogue, window, progress)
     if opened.nameless:
         bench, rounds, measured, told, lost = opened.bench, (), None, [], ()
-        rival = Unnamed(bench, opened.feedback)
+        rival = Unnamed(bench, _begun(opened).beside)
         answer = rival.answer
     else:
         bench, rival, found, lost = _searched(opened, progress)
@@ -111,13 +113,13 @@ def diagnose(
         check=bench.check(now.model),
         train=tuple(log.name for log in logs),
         tests=tuple(log.name for log in tests),
+        doubted=_doubt(bench, model, findings),
         contradicted=apart,
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
         dropped=_left_out((*lost, *answer.dropped), findings),
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
     said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
-    said += tuple(_one_step_ahead(bench, rival.judged.model, model, tests)) if findings else ()
     notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
@@ -134,16 +136,24 @@ def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, F
 
     And what it found before that and did not find again.
     """
-    bench, rival = opened.bench, Unnamed(opened.bench, opened.feedback)
-    begun = bench.disturbed(opened.begun) if opened.feedback else opened.begun
-    found = search(bench, bench.fitted(begun), progress, rival.beats)
+    bench = opened.bench
+    begun = bench.fitted(_begun(opened))
+    rival = Unnamed(bench, begun.beside)
+    found = search(bench, begun, progress, rival.beats)
     sharper = sharpened(bench, found.model)
     if sharper is None:
         return bench, rival, found, ()
     progress(AGAIN)
-    rival, first = Unnamed(sharper, opened.feedback), found.model
-    found = search(sharper, sharper.fitted(first), progress, rival.beats)
+    first = found.model
+    begun = sharper.fitted(first)
+    rival = Unnamed(sharper, begun.beside)
+    found = search(sharper, begun, progress, rival.beats)
     return sharper, rival, found, gone(sharper, first, found.model, SHARPER)
+
+
+def _begun(opened: Opened) -> Model:
+    """The model to start from, beside a disturbance where commands answer one."""
+    return opened.bench.disturbed(opened.begun) if opened.feedback else opened.begun
 
 
 def _chosen(
@@ -184,12 +194,14 @@ def _worthwhile(
         return _without_names(bench, rival, answer.model, answer.dropped, WORSE), None, [worse]
     if not answer.model.members or answer.unknown:
         return answer, None, []
-    measured = measured_gain(bench, answer.model, True, (), tests)
-    if buys_nothing(measured[0]):
-        names = together([test.name for test in tests])
-        told = [f"{what} buys nothing on {names}; it was dropped."]
+    measured, names = measured_gain(bench, answer.model, True, (), tests), together([t.name for t in tests])
+    more = _likelier_by(bench, rival, answer.model, tests)
+    idle = buys_nothing(measured[0])
+    if idle or (more is not None and more < 0):
+        how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
+        told = [f"{what} {how} {names}; it was dropped."]
         return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
-    return answer, measured, []
+    return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
 
 
 def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tuple[Placed, ...], list[str]]:
@@ -265,24 +277,34 @@ def _not_scored(gain: Gain) -> list[str]:
     ]
 
 
-def _one_step_ahead(bench: Workbench, file: Model, model: Model, tests: Sequence[Log]) -> list[str]:
-    """What the test logs say of a model and of the file, each beside its own disturbance.
+def _doubt(bench: Workbench, model: Model, findings: Sequence[Finding]) -> str | None:
+    """Why no name is certain, where names stand beside a disturbance whose innovations are no noise."""
+    if model.beside is None or not findings:
+        return None
+    dependence = remembered(bench, model)
+    return None if dependence is None else doubt(dependence)
 
-    Under feedback the error over a horizon flatters what copies the controller; this does not.
+
+def _likelier_by(bench: Workbench, rival: Unnamed, model: Model, tests: Sequence[Log]) -> float | None:
+    """Nats per number that test logs are likelier one step ahead by a model than by the file.
+
+    Each beside its own disturbance; None without one, and where the craft runs away along a test log. Under
+    feedback the error over a horizon flatters what copies the controller; this does not.
     """
-    if model.beside is None or file.beside is None:
-        return []
+    if model.beside is None:
+        return None
     on = bench.on(tests)
-    before, after = on.log_score(file), on.log_score(model)
-    names, more = together([test.name for test in tests]), after - before
-    # Where the craft runs away along a test log there is nothing to say.
-    if not np.isfinite(more):
-        return []
-    return [
+    more = on.log_score(model) - on.log_score(rival.judged.model)
+    return more if np.isfinite(more) else None
+
+
+def _one_step_ahead(names: str, more: float) -> str:
+    """What test logs say of names beside a disturbance; `more`: as of `_likelier_by`."""
+    return (
         "One step ahead, each beside the disturbance that suits it, the extended vehicle makes what "
-        f"{names} measured {'likelier' if more > 0 else 'less likely'} than the file does, by "
-        f"{abs(more):.3g} nats per number; under feedback this says more than the error over a horizon."
-    ]
+        f"{names} measured likelier than the file does, by {more:.3g} nats per number; under feedback this "
+        "says more than the error over a horizon."
+    )
 
 
 def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:

@@ -5,6 +5,7 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -41,11 +42,13 @@ from ..fitting import (
     measured_channels,
     overdispersion,
     predict,
+    promise,
     refine_windows,
     scaled,
     screening,
     segments,
     start_precision,
+    whitened,
     with_swell,
     wrapped,
 )
@@ -84,6 +87,8 @@ RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
+
+Result = TypeVar("Result")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +207,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), steps // parts)
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
-        self._refined = set[tuple[int, bool | None]]()  # kinds of models whose programs are compiled
+        self._known = set[tuple[str, int, bool | None]]()  # programs that are compiled, by kinds of models
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -420,6 +425,20 @@ class Workbench:
         problem = self.problem(model.members, self.fine.problem)
         return Likelihood(problem, task.affine, task.precision, force)
 
+    def promised(self, models: Sequence[Model]) -> list[float]:
+        """The cost that a step of each promises: beside a disturbance the next, else the one after it."""
+        if any(model.beside is None for model in models):
+            return [one.promised for one in self.refine_each(models, 1)]
+
+        def of(model: Model) -> float:
+            assert model.beside is not None
+            likely = self._likelihood(model, model.beside.force)
+            z = jnp.asarray(self._padded(model.z))
+            cost = float(promise(likely, z, model.beside.path, LEAST_DAMPING))
+            return cost if np.isfinite(cost) else np.inf
+
+        return self._side_by_side(of, models, "promise")
+
     def disturbed(self, model: Model) -> Model:
         """The model beside a disturbance of the usual size, along the path as measured."""
         fine = self.fine
@@ -478,18 +497,30 @@ class Workbench:
     ) -> list[Model]:
         """`likeliest` of each, as many at once as there are processors: a compiled program keeps one busy."""
 
-        def refined(model: Model) -> Model:
+        return self._side_by_side(
+            lambda model: self.likeliest(model, max_steps, rtol, times), models, "refine"
+        )
+
+    def _side_by_side(
+        self, of: Callable[[Model], Result], models: Sequence[Model], program: str
+    ) -> list[Result]:
+        """`of` each model, in threads."""
+
+        def one(model: Model) -> Result:
             # Precision that was asked for by `with` is the calling thread's alone.
             with jax.enable_x64(True):
-                return self.likeliest(model, max_steps, rtol, times)
+                return of(model)
 
-        # The first compiles the program that the others share, if none of its kind was refined before.
-        kinds = {(self.slots(len(model.z)), model.beside and model.beside.force.swells) for model in models}
-        alone = 0 if kinds <= self._refined else 1
-        first = [refined(model) for model in models[:alone]]
+        # The first compiles the program that the others share, if none of its kind was compiled before.
+        kinds = {
+            (program, self.slots(len(model.z)), model.beside and model.beside.force.swells)
+            for model in models
+        }
+        alone = 0 if kinds <= self._known else 1
+        first = [one(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            out = [*first, *pool.map(refined, models[alone:])]
-        self._refined |= kinds
+            out = [*first, *pool.map(one, models[alone:])]
+        self._known |= kinds
         return out
 
     def swelling(self, model: Model) -> Model:
@@ -583,6 +614,18 @@ class Workbench:
             found = innovations(problem, nothing, force, found.path, group, 1)
         minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
         return -0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi)))
+
+    def whitened(self, model: Model) -> Float[np.ndarray, "windows steps rows"]:
+        """What each sample says that none before it did, in standard deviations; NaN where none was taken.
+
+        Rows are the channels that are measured; only beside a disturbance.
+        """
+        assert model.beside is not None
+        problem, beside = self.problem(model.members, self.fine.problem), model.beside
+        white = np.asarray(whitened(problem, jnp.asarray(self.theta(model)), beside.force, beside.path))
+        white = white[: self.fine.count]
+        taken = np.asarray(problem.windows.weight)[: self.fine.count][..., np.array(problem.channels)] > 0
+        return np.where(taken, white, np.nan)
 
     def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""

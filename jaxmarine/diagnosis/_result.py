@@ -303,6 +303,7 @@ class Diagnosis:
     - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
+    - `doubted`: a sentence where the model leaves what no noise is: then no name is more than probable.
     - `contradicted`: a sentence where sensors contradict one another, whatever forces act.
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
     - `rejected`: stretches of the logs that were left out, with the reason.
@@ -329,6 +330,7 @@ class Diagnosis:
     check: Check
     train: tuple[str, ...]
     tests: tuple[str, ...]
+    doubted: str | None = None
     contradicted: str | None = None
     notes: tuple[str, ...] = ()
     rejected: tuple[Rejected, ...] = ()
@@ -342,8 +344,8 @@ class Diagnosis:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What stands before any praise: what is predicted worse than before, and a gain that says little."""
-        out = []
+        """What stands before any praise: doubts, what is predicted worse, and a gain that says little."""
+        out = [] if self.doubted is None else [self.doubted]
         if self.gain.worse:
             told = ", ".join(_grown(name, one) for name, one in self.gain.worse.items())
             out.append(f"Predicted worse than by the vehicle file on {self.test}, for certain: {told}.")

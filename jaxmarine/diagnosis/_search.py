@@ -175,8 +175,7 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
-        probed = bench.refine_each([bench.with_member(model, Member(i), value) for value in values], 1)
-        promised = [one.promised for one in probed]
+        promised = bench.promised([bench.with_member(model, Member(i), value) for value in values])
         if 2 * (model.cost - min(promised)) > WORTHWHILE * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
     return out

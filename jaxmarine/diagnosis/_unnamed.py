@@ -14,7 +14,7 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
-from ._model import Model, Workbench
+from ._model import Beside, Model, Workbench
 from ._result import Dropped
 from ._settle import pruned
 from ._signals import Signals
@@ -117,11 +117,11 @@ class Unnamed:
     Where they do not, nothing that was named or recalibrated is the cause: it took the shape of what is
     unknown. All is computed when it is first asked for.
 
-    - `feedback`: whether it is judged beside a disturbance (`Opened.feedback`).
+    - `beside`: a disturbance from which its own is estimated, None where it is judged beside white noise.
     """
 
-    def __init__(self, bench: Workbench, feedback: bool = False):
-        self.bench, self.feedback = bench, feedback
+    def __init__(self, bench: Workbench, beside: Beside | None = None):
+        self.bench, self.beside = bench, beside
 
     @functools.cached_property
     def start(self) -> Model:
@@ -129,8 +129,10 @@ class Unnamed:
 
     @functools.cached_property
     def judged(self) -> Judged:
-        start = self.start
-        return judged(self.bench, self.bench.fitted(self.bench.disturbed(start)) if self.feedback else start)
+        bench, start = self.bench, self.start
+        if self.beside is None:
+            return judged(bench, start)
+        return judged(bench, bench.fitted(dataclasses.replace(start, beside=self.beside, cost=np.inf)))
 
     @functools.cached_property
     def dependences(self) -> tuple[Dependence, ...]:

@@ -32,6 +32,8 @@ from ._filter import free_wrench as free_wrench
 from ._filter import innovations as innovations
 from ._filter import lines as lines
 from ._filter import maximise as maximise
+from ._filter import promise as promise
+from ._filter import whitened as whitened
 from ._filter import with_swell as with_swell
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError

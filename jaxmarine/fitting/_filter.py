@@ -195,23 +195,28 @@ def line_of(rows: Rows, z: int, wrench: Float[Array, " axes"], force: Disturbanc
     )
 
 
-def filtered(line: Line, force: Disturbance) -> Passed:
-    """A window filtered, given the state and the disturbance with which it begins."""
-    states, given = force.states, line.residual.shape[-1] - 1
-    first = 12 + states
-    mean = jnp.zeros((13 + states, given + first + 1))
-    mean = mean.at[:13, given : given + 12].set(line.begin)
-    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(states))
-    nothing = jnp.zeros((line.h.shape[1], first))
+class Begun(NamedTuple):
+    """State and disturbance [13+states] at a sample: how far below the path's, by some columns.
+
+    - `log_det`: of the covariance of all that was measured before.
+    """
+
+    mean: Float[Array, "13+states columns"]
+    covariance: Float[Array, "13+states 13+states"]
+    log_det: Float[Array, ""]
+
+
+def _through(
+    line: Line, residual: Float[Array, "steps rows columns"], force: Disturbance, begin: Begun
+) -> tuple[Begun, Float[Array, "steps rows columns"]]:
+    """Where a window ends, and its whitened residuals, each given all before it; `residual`: as of `line`."""
     by_states = jax.scipy.linalg.block_diag(jnp.eye(13), force.output)
 
     @jax.checkpoint
-    def step(carry, now):
-        mean, covariance, log_det = carry
+    def step(carry: Begun, now):
         f, h, residual, dt = now
-        residual = jnp.concatenate([residual[:, :given], nothing, residual[:, given:]], axis=1)
 
-        def sensor(carry, now):
+        def sensor(carry: Begun, now):
             mean, covariance, log_det = carry
             row, seen = now
             spread = covariance @ row
@@ -219,20 +224,30 @@ def filtered(line: Line, force: Disturbance) -> Passed:
             error = seen - row @ mean
             mean = mean + jnp.outer(spread / variance, error)
             covariance = covariance - jnp.outer(spread, spread / variance)
-            return (mean, covariance, log_det + jnp.log(variance)), error / jnp.sqrt(variance)
+            return Begun(mean, covariance, log_det + jnp.log(variance)), error / jnp.sqrt(variance)
 
         # One sensor after another, whose noises are independent: no factorisation for a few numbers.
-        (mean, covariance, log_det), white = jax.lax.scan(sensor, (mean, covariance, log_det), (h, residual))
+        (mean, covariance, log_det), white = jax.lax.scan(sensor, carry, (h, residual))
         mean = jnp.concatenate([f @ mean, force.after(dt, mean[13:])])
         half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
         covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
         covariance = covariance.at[13:, 13:].add(jnp.diag(force.new(dt)))
-        return (mean, 0.5 * (covariance + covariance.T), log_det), white
+        return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
 
-    begin = mean, jnp.zeros((13 + states, 13 + states)), jnp.zeros(())
-    (mean, covariance, log_det), white = jax.lax.scan(
-        step, begin, (line.f @ by_states, line.h @ by_states, line.residual, line.dt)
-    )
+    return jax.lax.scan(step, begin, (line.f @ by_states, line.h @ by_states, residual, line.dt))
+
+
+def filtered(line: Line, force: Disturbance) -> Passed:
+    """A window filtered, given the state and the disturbance with which it begins."""
+    states, given = force.states, line.residual.shape[-1] - 1
+    first = 12 + states
+    mean = jnp.zeros((13 + states, given + first + 1))
+    mean = mean.at[:13, given : given + 12].set(line.begin)
+    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(states))
+    nothing = jnp.zeros((*line.h.shape[:2], first))
+    residual = jnp.concatenate([line.residual[..., :given], nothing, line.residual[..., given:]], axis=-1)
+    begin = Begun(mean, jnp.zeros((13 + states, 13 + states)), jnp.zeros(()))
+    (mean, covariance, log_det), white = _through(line, residual, force, begin)
     white = white.reshape(-1, mean.shape[1])
     return Passed(white.T @ white, log_det, mean, covariance)
 
@@ -419,6 +434,26 @@ def lines(
     return swept(pushed(problem, force, path), nothing, path.delta, 1, of_rows, each, None)[1]
 
 
+@compiled
+def whitened(
+    problem: Problem, theta: Float[Array, "segments parameters"], force: Disturbance, path: Path
+) -> Float[Array, "windows steps rows"]:
+    """By how much each sample differs from what all before it lets one expect, in standard deviations.
+
+    Of a model that is right these are white noise of size one. 0 where nothing was measured.
+    """
+    every, spread = lines(problem, theta, force, path), _spread(problem)
+
+    def each(message: Message, window: Windowed):
+        mean, covariance = window.begun(message, force, spread)
+        into = jax.scipy.linalg.block_diag(window.line.begin, jnp.eye(force.states))
+        begin = Begun(into @ mean, into @ covariance @ into.T, jnp.zeros(()))
+        (mean, covariance, _), white = _through(window.line, window.line.residual, force, begin)
+        return Message(mean, covariance, window.end), white[..., 0]
+
+    return jax.lax.scan(each, _nothing_known(force, 1), every)[1]
+
+
 @dataclasses.dataclass(frozen=True)
 class Logarithms:
     """Sizes, memories and frequency of a disturbance as free numbers without units.
@@ -596,6 +631,13 @@ def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damp
         "damping": jnp.asarray(damping, jnp.result_type(float)),
     }
     return _maximise(task, z, path, options)
+
+
+@compiled
+def promise(task: Likelihood, z, path: Path, damping: float) -> Float[Array, ""]:
+    """Half of minus twice the logarithm of the likelihood that a step from z would reach, by its slopes."""
+    (cost, found), solver = _improbable((z, path), task), FilterGaussNewton()
+    return cost - solver.moved((z, path), found, task, jnp.asarray(damping))[1]
 
 
 @compiled

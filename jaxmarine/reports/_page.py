@@ -177,7 +177,11 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
         heading=title(finding.label),
         what=what(finding, diagnosis.vehicle, diagnosis.clock_of(finding)),
         advice=words.advice(finding, diagnosis.catalogue),
-        sure=words.sureness(finding.log_evidence, "" if finding.named else "That something acts there")
+        sure=words.sureness(
+            finding.log_evidence,
+            "" if finding.named else "That something acts there",
+            finding.named and diagnosis.doubted is not None,
+        )
         + (" This holds for the finding or what it cannot be told from." if rivals else ""),
         rivals=other,
         deciding=words.deciding((finding.label, *rivals), diagnosis.catalogue) if rivals else "",

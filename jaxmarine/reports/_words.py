@@ -46,15 +46,18 @@ def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOG
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
-def sureness(log_evidence: float, of: str = "") -> str:
-    """The log evidence in words and as a number (Kass and Raftery, 1995); `of`: what is that sure."""
+def sureness(log_evidence: float, of: str = "", doubted: bool = False) -> str:
+    """The log evidence in words and as a number (Kass and Raftery, 1995).
+
+    - `of`: what is that sure; `doubted`: whether more cannot be called than positive (`Diagnosis.doubted`).
+    """
     if not math.isfinite(log_evidence):
         return "The evidence could not be put into a number."
     if log_evidence < 0:
         words = "None: the log speaks against it"
     elif log_evidence < 1:
         words = "Hardly worth a mention"
-    elif log_evidence < 3:
+    elif log_evidence < 3 or doubted:
         words = "Positive, no more"
     elif log_evidence < VERY_STRONG:
         words = "Strong"
