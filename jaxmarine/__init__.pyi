@@ -11,6 +11,7 @@ from ._errors import InputError as InputError
 from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose
+from .disturbances import RandomWrench as RandomWrench
 from .effects import CATALOGUE as CATALOGUE
 from .fitting import (
     Check as Check,

@@ -253,6 +253,7 @@ def simulate(
     start: State,
     solver: diffrax.AbstractSolver | None = None,
     earlier: tuple[str, ...] = (),
+    push: Float[np.ndarray, "times 6"] | None = None,
 ) -> Trajectory:
     """Simulates the vehicle from `start` under the commands (or control wrench) of a log.
 
@@ -260,12 +261,15 @@ def simulate(
       vehicle's fastest mode needs. Any diffrax solver runs with adaptive steps inside each sample
       (rtol 1e-8): `diffrax.Tsit5()`, or `diffrax.Kvaerno5()` for stiff vehicles.
     - `earlier`: names of logs recorded before the effects with `since` began.
+    - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands, held from sample to
+      sample: what disturbs it, such as a draw of a `RandomWrench`.
     """
     acting, segment = np.unique(gates(vehicle, log, earlier), axis=0, return_inverse=True)
     count = len(vehicle.command_names)
     given = log.commanded(vehicle.command_names)
     commands = jnp.zeros((len(log.t), count)) if given is None else jnp.asarray(given)
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
+    wrench = wrench if push is None else wrench + jnp.asarray(push)
     # A gap in the log is one long hold.
     lengths = np.asarray(step_lengths(jnp.asarray(log.t)))
     split = np.ceil(substeps(vehicle, log.dt) * np.maximum(lengths / log.dt - 0.01, 1.0)).astype(int)

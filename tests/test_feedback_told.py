@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxmarine.diagnosis._disturbed import in_words
+from jaxmarine.diagnosis._disturbed import in_words, known
 from jaxmarine.fitting import Disturbance, answers
 from jaxmarine.logs import Log
 from tests.boats import boat, record, steps
@@ -65,6 +65,6 @@ def test_what_disturbs_is_said_in_words():
         joined=np.zeros(1, bool),
         axes=(1, 5),
     )
-    said = in_words(force)
+    said = in_words(known(force))
     assert "3 N in sway with a memory of 4 s, 0.5 N m in yaw with a memory of 11 s" in said
     assert said.endswith("a swell of 6.3 s: 1.2 N in sway, 0.04 N m in yaw.")

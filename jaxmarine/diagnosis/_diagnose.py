@@ -14,7 +14,7 @@ from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
-from ._disturbed import in_words
+from ._disturbed import in_words, known
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
 from ._innovations import remembered
@@ -85,8 +85,9 @@ def diagnose(
     missing = missing_wrench(now.knots)
     unexplained = _unexplained(answer, terms)
     if not now.white:
-        known = {one.target for one in unexplained}
-        unexplained += excesses(missing, (vehicle, extended), logs, now.plain_phi, known, bench.quiet)
+        axes = {one.target for one in unexplained}
+        unexplained += excesses(missing, (vehicle, extended), logs, now.plain_phi, axes, bench.quiet)
+    disturbance = None if model.beside is None else known(model.beside.force)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
         (True, False): "explained",
@@ -113,6 +114,7 @@ def diagnose(
         check=bench.check(now.model),
         train=tuple(log.name for log in logs),
         tests=tuple(log.name for log in tests),
+        disturbance=disturbance,
         doubted=_doubt(bench, model, findings),
         contradicted=apart,
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
@@ -331,8 +333,8 @@ def _remarks(diagnosis: Diagnosis, answer: Answer, changed: bool) -> list[str]:
         for one in answer.unknown
         if one.tied
     ]
-    if answer.model.beside is not None:
-        notes.append(in_words(answer.model.beside.force))
+    if diagnosis.disturbance is not None:
+        notes.append(in_words(diagnosis.disturbance))
     notes += [told(one) for one in diagnosis.findings if one.excess is not None]
     if diagnosis.contradicted is not None:
         notes.append(diagnosis.contradicted)

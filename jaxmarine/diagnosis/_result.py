@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import CHANNEL_UNITS
+from ..disturbances import RandomWrench
 from ..effects import AbstractEffect
 from ..fitting import Check
 from ..logs import Rejected, together
@@ -303,6 +304,7 @@ class Diagnosis:
     - `check`: what the training logs tell of the file's coefficients, the named findings given.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
+    - `disturbance`: what disturbs the craft besides, None where no disturbance was estimated.
     - `doubted`: a sentence where the model leaves what no noise is: then no name is more than probable.
     - `contradicted`: a sentence where sensors contradict one another, whatever forces act.
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
@@ -330,6 +332,7 @@ class Diagnosis:
     check: Check
     train: tuple[str, ...]
     tests: tuple[str, ...]
+    disturbance: RandomWrench | None = None
     doubted: str | None = None
     contradicted: str | None = None
     notes: tuple[str, ...] = ()
@@ -401,6 +404,7 @@ class Diagnosis:
             "findings": [finding(f) for f in self.findings],
             "gain": self.gain.to_json(),
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
+            "disturbance": self.disturbance and self.disturbance.to_json(),
             "recalibrated": [dataclasses.asdict(one) for one in self.recalibrated],
             "rejected": [dataclasses.asdict(one) for one in self.rejected],
             "dropped": [dataclasses.asdict(one) for one in self.dropped],

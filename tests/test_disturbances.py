@@ -1,0 +1,67 @@
+"""Draws of a random wrench: against the correlation that its memory and period say."""
+
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from jaxmarine.logs import Log
+from tests.boats import boat
+
+GUSTS = jm.RandomWrench(size=np.array([3.0, 0.0, 0, 0, 0, 0.4]), memory=np.array([4.0, 0, 0, 0, 0, 1.0]))
+SWELL = jm.RandomWrench(np.zeros(6), np.zeros(6), np.array([0, 2.0, 0, 0, 0, 0]), 5.0, 20.0)
+
+
+def test_gusts_have_their_size_and_memory_on_any_times():
+    """Within four standard errors of 8000 s / (2 memories) independent values; what lies far apart is new."""
+    t = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.35, 40000))
+    drawn = GUSTS.draw(t, 0)
+    assert (drawn[:, 1:5] == 0).all()
+    for axis, size, memory in ((0, 3.0, 4.0), (5, 0.4, 1.0)):
+        error = 4 * np.sqrt(2 * 2 * memory / np.ptp(t))
+        assert drawn[:, axis].var() == pytest.approx(size**2, rel=error)
+        # One memory later it is 1/e of it.
+        later = np.interp(t + memory, t, drawn[:, axis])[t + memory < t[-1]]
+        now = drawn[: len(later), axis]
+        assert (now * later).mean() / size**2 == pytest.approx(np.exp(-1), abs=error)
+    far = GUSTS.draw(np.arange(2000) * 100.0, 0)[:, 0]
+    assert abs(np.corrcoef(far[1:], far[:-1])[0, 1]) < 4 / np.sqrt(2000)
+
+
+def test_a_swell_comes_back_after_its_period():
+    t = np.arange(0.0, 20000.0, 0.5)
+    drawn = SWELL.draw(t, 1)[:, 1]
+    for lag in (5, 10, 20):  # half a period, one and two
+        now = (drawn[lag:] * drawn[:-lag]).mean() / 4.0
+        expected = np.exp(-0.5 * lag / 20.0) * np.cos(2 * np.pi * 0.5 * lag / 5.0)
+        # Over some 500 stretches of twice its memory.
+        assert now == pytest.approx(expected, abs=4 * np.sqrt(1 / 500))
+
+
+def test_a_seed_gives_the_same_again_and_another_another():
+    t = np.arange(100) * 0.1
+    np.testing.assert_array_equal(GUSTS.draw(t, 3), GUSTS.draw(t, 3))
+    assert np.abs(GUSTS.draw(t, 3) - GUSTS.draw(t, 4)).max() > 0.1
+
+
+def test_a_push_moves_the_craft_as_a_wrench_of_the_log_does():
+    t = np.arange(50) * 0.1
+    given = np.tile([10.0, 2.0, 0, 0, 0, 1.0], (50, 1))
+    push = GUSTS.draw(t, 2)
+    blank = Log(t, np.full((50, 18), np.nan), None, given, (), "log.csv")
+    both = Log(t, blank.channels, None, given + push, (), "log.csv")
+    pushed = jm.simulate(boat(), blank, jm.initial_state(boat()), push=push)
+    same = jm.simulate(boat(), both, jm.initial_state(boat()))
+    np.testing.assert_allclose(pushed.channels, same.channels, atol=1e-12)
+    calm = jm.simulate(boat(), blank, jm.initial_state(boat()))
+    assert np.abs(np.asarray(calm.channels) - np.asarray(pushed.channels)).max() > 1e-3
+
+
+def test_what_is_written_names_the_axes_that_are_pushed():
+    assert GUSTS.to_json() == {
+        "axes": {
+            "surge": {"unit": "N", "size": 3.0, "memory_s": 4.0},
+            "yaw": {"unit": "N m", "size": 0.4, "memory_s": 1.0},
+        }
+    }
+    both = SWELL.to_json()
+    assert both["axes"] == {"sway": {"unit": "N", "swell": 2.0}} and both["period_s"] == 5.0
