@@ -6,6 +6,9 @@ from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan
 from ._result import (
+    BANDS as BANDS,
+)
+from ._result import (
     Alternative as Alternative,
 )
 from ._result import (

@@ -30,7 +30,7 @@ from ._search import Found, Round, search
 from ._settle import settled
 from ._supplied import unsupplied
 from ._unnamed import ALONE, WITH_UNKNOWN, Answer, Unnamed, left_over, with_unknown
-from ._worth import buys_nothing, gain_at_home, measured_gain
+from ._worth import buys_nothing, gain_at_home, measured_gain, with_band
 
 # Evidence [nats] of what leaves a vehicle that runs away without it.
 CERTAIN = 1e6
@@ -107,7 +107,7 @@ def diagnose(
         groups=groups(findings),
         misfit_before=2 * (Unnamed(connected) if opened.exchanged else rival).start.cost / bench.samples,
         misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
-        predictions=measured[1],
+        predictions=with_band(bench, model, changed, terms, measured[1]),
         missing_before=missing_wrench(rival.judged.knots),
         missing_after=missing,
         catalogue=tuple(catalogue),

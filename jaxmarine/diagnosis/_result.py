@@ -10,7 +10,7 @@ from jaxtyping import Float
 from .._types import CHANNEL_UNITS
 from ..disturbances import RandomWrench
 from ..effects import AbstractEffect
-from ..fitting import Check
+from ..fitting import Check, wrapped
 from ..logs import Rejected, together
 from ..networks import LearnedWrench
 from ..vehicle import Vehicle
@@ -210,6 +210,9 @@ class Gain:
         }
 
 
+# Share of what will be measured that a band of predictions is to hold.
+BANDS = 0.9
+
 _UNITS = {"position": "m", "attitude": "rad", "velocity": "m/s", "rate": "rad/s"} | {
     str(name): unit for name, unit in CHANNEL_UNITS.items()
 }
@@ -263,7 +266,8 @@ class Predictions:
       (an index along steps): what lies before it is where the start state was estimated.
     - `measured`, `before`, `after` [starts, steps, 18]: in the order of `_types.CHANNELS`; NaN where not
       measured. `noise` [18]: standard deviation per channel, NaN where not measured.
-    - `log`: the name of the test log.
+    - `log`: the name of the test log. `band` [ahead, 18]: from the start on, how far `after` is off at most
+      in a share `BANDS` of predictions (`_bands.py`); None where no training log is long enough to tell.
     """
 
     times: Float[np.ndarray, "starts steps"]
@@ -273,6 +277,17 @@ class Predictions:
     after: Float[np.ndarray, "starts steps 18"]
     noise: Float[np.ndarray, "18"]
     log: str = ""
+    band: Float[np.ndarray, "ahead 18"] | None = None
+
+    @property
+    def held(self) -> float | None:
+        """Share of what was measured from the starts on that lies within the band."""
+        if self.band is None:
+            return None
+        after, measured = self.after[:, self.begin :], self.measured[:, self.begin :]
+        seen = np.isfinite(measured) & np.isfinite(self.band)
+        inside = np.abs(np.asarray(wrapped(after - measured))) <= self.band
+        return float(inside[seen].mean()) if seen.any() else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -403,6 +418,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "findings": [finding(f) for f in self.findings],
             "gain": self.gain.to_json(),
+            "bands": {"share": BANDS, "held": self.predictions.held},
             "residual_after": {"white": self.white, "depends_on": list(self.depends_on)},
             "disturbance": self.disturbance and self.disturbance.to_json(),
             "recalibrated": [dataclasses.asdict(one) for one in self.recalibrated],

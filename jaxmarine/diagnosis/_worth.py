@@ -1,5 +1,6 @@
 """What a model of the search is worth: its gain on a log."""
 
+import contextlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ from .._precision import need_double
 from ..effects import CATALOGUE, AbstractEffect
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
+from ._bands import banded
 from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
 from ._model import Beginning, Member, Model, Workbench, filled
 from ._prepare import opened_with
@@ -83,6 +85,21 @@ def measured_gain(
     stride = max(stride_of(log, run_in_of(log, bench.data.length)) for log in tests)
     predicted = [_predicted(bench, model, changed, terms, log, stride) for log in tests]
     return gain(predicted, bench.own_noise, [bench.twin(log) is None for log in tests])
+
+
+def with_band(
+    bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], shown: Predictions
+) -> Predictions:
+    """Predictions of a test log with the band that the training logs tell."""
+    home = []
+    for log in bench.data.logs:
+        if log.duration < LEAST:
+            continue
+        # Gaps and accidents may leave no stretch that is long enough.
+        with contextlib.suppress(InputError):
+            stride = stride_of(log, run_in_of(log, bench.data.length))
+            home.append(_predicted(bench, model, changed, terms, log, stride))
+    return banded(shown, home)
 
 
 def _predicted(

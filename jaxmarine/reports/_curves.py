@@ -202,11 +202,13 @@ class Course:
     """One prediction: `measured`, `before` and `after`, all 18 channels in shown units.
 
     `ahead` [s] counts from where the prediction begins; `start` is that moment of the log in words.
+    `band`: half the width of that about the last model's, NaN before the start.
     """
 
     start: str
     ahead: Float[np.ndarray, " steps"]
     curves: dict[str, Float[np.ndarray, "steps 18"]]
+    band: Float[np.ndarray, "steps 18"] | None = None
 
 
 def course(predictions: Predictions, start: int, clock: float = 0.0) -> Course:
@@ -227,7 +229,11 @@ def course(predictions: Predictions, start: int, clock: float = 0.0) -> Course:
     curves = {"measured": measured, "before": smooth, "after": after}
     kept = thinned(times.size, _STEPS)
     shown = {name: curve[kept] * SCALES for name, curve in curves.items()}
-    return Course(moment(begin, clock, ".4g"), times[kept] - begin, shown)
+    band = None
+    if predictions.band is not None:
+        none = np.full((predictions.begin, predictions.band.shape[1]), np.nan)
+        band = np.concatenate([none, predictions.band])[kept] * SCALES
+    return Course(moment(begin, clock, ".4g"), times[kept] - begin, shown, band)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from .._types import CHANNELS
-from ..diagnosis import Diagnosis, MissingWrench
+from ..diagnosis import BANDS, Diagnosis, MissingWrench, Predictions
 from ._curves import (
     CHANNEL_TITLES,
     Axis,
@@ -30,7 +30,7 @@ from ._curves import (
     thinned,
     typical_starts,
 )
-from ._numbers import count, joined, number
+from ._numbers import count, joined, number, percent
 from ._svg import Plot
 
 # Of a curve, which is about what a panel has pixels; of all logs together, of which one is seen at a time.
@@ -234,18 +234,32 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
             f"all {len(predictions.times)} on {tested(diagnosis)} (the median before). Left of the dotted "
             "line lies the data from which the start is estimated; right of it the model sees the commands "
             "only. "
-            f"{'Blue' if 'after' in shown else 'Orange'} should follow grey."
+            f"{'Blue' if 'after' in shown else 'Orange'} should follow grey." + _banded(predictions)
         ),
-        legend=("measured", *shown),
+        legend=("measured", *shown, *(() if predictions.band is None else ("band",))),
         sheets=tuple(sheets),
         choice="Channel",
         chosen=channels.index(chosen),
     )
 
 
+def _banded(predictions: Predictions) -> str:
+    """What the band holds, in a sentence, where there is one."""
+    if predictions.held is None:
+        return ""
+    return (
+        f" The band is as wide as {percent(BANDS)} of the predictions of the training logs were off; here it "
+        f"holds {percent(predictions.held)} of what was measured."
+    )
+
+
 def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel:
     column = CHANNELS.index(channel)
     figure = Plot("time since the start [s]", f"{channel} [{shown_unit(channel)}]")
+    if c.band is not None:
+        later = c.ahead >= 0
+        middle, half = c.curves[shown[-1]][later, column], c.band[later, column]
+        figure.band(shown[-1], c.ahead[later], middle - half, middle + half)
     for name in ("measured", *shown):
         figure.line(name, c.ahead, c.curves[name][:, column])
     if c.ahead[0] < 0:

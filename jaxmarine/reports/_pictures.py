@@ -139,6 +139,10 @@ def _trajectories(diagnosis: Diagnosis) -> Figure | None:
         ax.plot(c.ahead, measured, color=_QUIET, lw=4, alpha=0.6, label="measured")
         for name in compared(diagnosis):
             ax.plot(c.ahead, c.curves[name][:, column], color=_COLOURS[name], label=name)
+        if c.band is not None:
+            last = compared(diagnosis)[-1]
+            middle, half = c.curves[last][:, column], c.band[:, column]
+            ax.fill_between(c.ahead, middle - half, middle + half, color=_COLOURS[last], alpha=0.15, lw=0)
         ax.axvline(0.0, color=_QUIET, ls=":")
         ax.set(
             title=f"start at {c.start}",
