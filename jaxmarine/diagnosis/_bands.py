@@ -26,7 +26,7 @@ def banded(shown: Predictions, home: Sequence[Predictions]) -> Predictions:
     off = np.concatenate([_errors(one, ahead) for one in home])
     # Of one more than were seen: the next is as likely to lie in each gap between those that were.
     share = min(1.0, BANDS * (1 + 1 / len(off)))
-    half = np.full(off.shape[1:], np.nan)
+    half = np.full((len(ahead), off.shape[2]), np.nan)
     for step, t in enumerate(ahead):
         near = np.abs(ahead - t) <= 0.5 * SMOOTH
         for channel in range(half.shape[1]):
