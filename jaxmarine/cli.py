@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from enum import StrEnum
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -550,28 +551,46 @@ def plan(
     _say(f"Commands: {out}")
 
 
-@app.command(epilog="Example: `jaxmarine demo --out demo-report`")
+class Kind(StrEnum):
+    """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
+
+    ROV = "rov"
+    AUV = "auv"
+    SHIP = "ship"
+    BOAT = "boat"
+
+
+@app.command(epilog="Example: `jaxmarine demo --craft ship --out demo-report`")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path("demo-report"),
+    craft: Annotated[
+        Kind,
+        typer.Option(
+            "--craft",
+            help="An ROV with a weak thruster, a torpedo with a stuck plane, a tanker whose rudder is off, "
+            "or a ferry with a weak azimuth thruster.",
+        ),
+    ] = Kind.ROV,
 ) -> None:
-    """Makes a log of the ROV Tethra with a weak thruster hidden in it, and finds it."""
+    """Makes a log of a packaged craft with something hidden in it, and finds it."""
     _prepare()
     from .diagnosis import diagnose as run
-    from .examples import hidden
+    from .examples import DEMOS
     from .logs import write_log
-    from .vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
+    from .vehicle_io import save_vehicle
 
     _folder(out, make=False)
-    craft = load_vehicle(packaged_vehicle("tethra"))
-    with _progress("simulating Tethra") as tell:
-        train, test = _stoppable(lambda _: hidden(craft, "thruster_gain", "port_h", {"factor": 0.72}), tell)
+    shown = DEMOS[craft]
+    vehicle = shown.vehicle()
+    with _progress(f"simulating {vehicle.name}") as tell:
+        train, test = _stoppable(lambda _: shown.logs(vehicle), tell)
         tell(f"diagnosing; {_FIRST_TIME}")
-        result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell, _import_reports)
+        result = _stoppable(lambda tell: run(vehicle, train, test, progress=tell), tell, _import_reports)
     _folder(out)
-    save_vehicle(craft, out / "vehicle.toml")
+    save_vehicle(vehicle, out / "vehicle.toml")
     write_log(train, out / "train.csv")
     write_log(test, out / "test.csv")
-    _say("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
+    _say(f"Hidden in the log: {shown.told}.")
     _write(result, out)
 
 
