@@ -16,7 +16,7 @@ from .vehicle import Plant, Vehicle
 
 # Thrust goes with the square of the shaft speed: from the middle of the range a tenth of full thrust, or all
 # of it, is met to a part in 1e8 after four steps. Azimuths that have to go astern take up to twelve; of
-# wrenches within half of a ferry's thrust they then meet 93 in 100, the others as far as the nearest way leads.
+# wrenches within half of a ferry's thrust they then meet 93 in 100, the rest as far as the nearest way leads.
 _STEPS = 12
 
 

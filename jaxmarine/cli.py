@@ -378,6 +378,7 @@ _FREE = {
     "linear": lambda v: v.damping.linear,
     "quadratic": lambda v: v.damping.quadratic,
     "added_mass": lambda v: v.added_mass,
+    "coupling": lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic),
     "thrust": lambda v: v.thrusters.max_thrust,
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
@@ -390,7 +391,7 @@ _FREE = {
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
 _OF_ACTUATORS = ("propeller", "surface", "cross_flow")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
-_ALL = ("damping", "added_mass", "thrust", *_OF_ACTUATORS)
+_ALL = ("coupling", "thrust", *_OF_ACTUATORS)
 _ALL_PRIOR = 0.3
 
 
@@ -415,11 +416,17 @@ def fit(
     ] = None,
     columns: ColumnsOption = None,
 ) -> None:
-    """Fits coefficients that the vehicle file has (diagonal entries), and effects, by the trajectory loss."""
+    """Fits coefficients that the vehicle file has, and effects, by the trajectory loss.
+
+    Of matrices the diagonals; with `coupling` also what joins their axes.
+    """
     every = free == ["all"]
-    if len(set(free)) < len(free) or ("damping" in free and {"linear", "quadratic"} & {*free}):
+    twice = "damping" in free and {"linear", "quadratic"} & {*free}
+    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
+    if len(set(free)) < len(free) or twice:
         raise InputError(
-            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`); once will do."
+            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
+            "`added_mass`); once will do."
         )
     if prior is not None and not prior > 0:
         raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
@@ -462,7 +469,7 @@ def fit(
                 logs,
                 lambda v: tuple(select(v) for select in chosen),
                 prior=prior,
-                entries="diagonal",
+                entries="coupled" if "coupling" in free else "diagonal",
                 throw=False,
             ),
             tell,

@@ -2,6 +2,7 @@
 
 import _thread
 import dataclasses
+import json
 import os
 import re
 import signal
@@ -20,9 +21,10 @@ import pytest
 
 import jaxmarine as jm
 from jaxmarine._progress import FITTING, in_round
-from jaxmarine.cli import _progress, _say, _say_gain, _stoppable, _Stopped
+from jaxmarine.cli import Kind, _progress, _say, _say_gain, _stoppable, _Stopped
 from jaxmarine.diagnosis import BeforeAfter, Gain, LogGain
-from jaxmarine.examples import operator, recorded
+from jaxmarine.examples import DEMOS, operator, recorded
+from jaxmarine.vehicle_io import cause_named
 
 from .shell import exit_code
 
@@ -475,13 +477,52 @@ def test_without_a_terminal_stages_are_lines_with_the_share_and_the_time_left(ca
 
 
 @pytest.mark.slow
-def test_the_demo_finds_what_it_hides(jaxmarine, folder):
-    code, out, _ = jaxmarine("demo", "--out", folder / "demo")
+@pytest.mark.parametrize("craft", DEMOS)
+def test_the_demos_find_what_they_hide(jaxmarine, folder, craft):
+    shown = DEMOS[craft]
+    code, out, _ = jaxmarine("demo", "--craft", craft, "--out", folder / "demo")
     assert code == 0
-    assert "Verdict: explained" in out and "thruster_gain:port_h: factor = 0.7" in out
+    assert "Verdict: explained" in out and shown.told in out
+    (finding,) = json.loads((folder / "demo" / "diagnosis.json").read_text())["findings"]
+    assert (finding["effect"], finding["target"]) == (shown.effect, shown.target)
+    for name, value in shown.parameters.items():
+        found = finding["parameters"][name]
+        # Within its error, and two parts in a hundred of what that leaves out.
+        assert found["value"] == pytest.approx(value, abs=4 * found["std"] + 0.02 * abs(value))
     made = {path.name for path in (folder / "demo").iterdir()}
-    assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json"}
-    assert "index.html" in made
+    assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json", "index.html"}
+    page = (folder / "demo" / "index.html").read_text()
+    vehicle = jm.load_vehicle(folder / "demo" / "vehicle.toml")
+    assert all(f"<dt>{one.title}</dt>" in page for one in vehicle.actuators)
+
+
+@pytest.mark.parametrize("craft", DEMOS)
+def test_the_logs_of_a_demo_hide_what_it_says(craft):
+    """The craft with the effect leaves noise in the first half minute of the log, its file leaves more."""
+    shown = dataclasses.replace(DEMOS[craft], duration=(40.0, 10.0))
+    vehicle = shown.vehicle()
+    train, test = shown.logs(vehicle)
+    assert (train.duration, test.duration) == pytest.approx((40.0 - shown.dt, 10.0 - shown.dt))
+    told = " ".join(f"{name}={value}" for name, value in shown.parameters.items())
+    hidden = vehicle.place(cause_named(vehicle, f"{shown.effect}:{shown.target} {told}"))
+    used = np.isfinite(vehicle.stated_noise) & (np.tile(vehicle.free, 3) > 0)
+    chi2 = []
+    for one in (hidden, vehicle):
+        off = np.asarray(jm.simulate(one, train, jm.initial_state(one)).channels) - train.channels
+        off[:, 3:6] = (off[:, 3:6] + np.pi) % (2 * np.pi) - np.pi
+        chi2.append(float((off / vehicle.stated_noise)[:, used].var()))
+    assert chi2[0] == pytest.approx(1.0, abs=0.1) and chi2[1] > 2.0
+    # The number in the sentence is the one that is hidden.
+    assert all(f"{value:g}" in shown.told for value in shown.parameters.values())
+
+
+def test_a_kind_of_craft_that_there_is_not_is_refused(jaxmarine, folder):
+    code, _, err = jaxmarine("demo", "--craft", "plane", "--out", folder / "demo")
+    assert code == 2 and "'rov', 'auv', 'ship', 'boat'" in err and not (folder / "demo").exists()
+
+
+def test_the_command_line_knows_every_demo():
+    assert [kind.value for kind in Kind] == list(DEMOS)
 
 
 def test_help_does_not_wait_for_the_compiler():
