@@ -8,7 +8,6 @@ import pytest
 
 import jaxmarine as jm
 from jaxmarine.examples import operated, recorded
-from jaxmarine.physics import thrust
 
 from .crafts import packaged
 
@@ -75,5 +74,7 @@ def test_the_blueboat_goes_as_fast_as_its_maker_says():
     ahead = jm.Log(t, np.full((len(t), 18), np.nan), np.ones((len(t), 2)), None, craft.command_names, "-")
     assert float(jm.simulate(craft, ahead, jm.initial_state(craft))["u"][-1]) == pytest.approx(3.0, abs=0.02)
     # Its thrust at full command is what the runs show, ahead and astern.
-    given = thrust(craft.plant().drive, jnp.arange(2.0), jnp.array([[1.0, 1.0], [-1.0, -1.0]])).instant
-    np.testing.assert_allclose(given[:, 0], [55.2, -27.6], atol=0.1)
+    over, _ = jm.simulation.inputs(
+        craft.plant(), jnp.arange(2.0), jnp.array([[1.0, 1.0], [-1.0, -1.0]]), jnp.zeros((2, 6))
+    )
+    np.testing.assert_allclose(over.thrust[:, 0], [55.2, -27.6], atol=0.1)
