@@ -2,21 +2,16 @@
 
 import dataclasses
 import functools
-import tomllib
-from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import tomli_w
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Array, Float
 
-from experiments.blind import plant as blind
-from experiments.blind import vehicle as blind_vehicle
 from jaxmarine._types import CHANNELS, SENSORS
 from jaxmarine.effects import (
     CATALOGUE,
@@ -33,7 +28,7 @@ from jaxmarine.logs import Log
 from jaxmarine.networks import mlp_damping
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Input, Placed, State, Vehicle
-from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
+from jaxmarine.vehicle_io import load_vehicle, save_vehicle
 from tests.boats import NOISE, boat, record, steps
 from tests.crafts import packaged
 
@@ -96,40 +91,6 @@ def test_planted_parameters_are_recovered_from_a_wrong_start():
         "added_mass[yaw]",
     ]
     np.testing.assert_allclose([p.start for p in found.parameters], planted(start), atol=1e-12)
-
-
-def uncoupled_and_coupled(folder: Path) -> tuple[Vehicle, blind_vehicle.Vehicle]:
-    """CyberShip II without a number between axes, and by the independent reader with some of sway and yaw."""
-    text = packaged_vehicle("cybership2").read_text().replace("-0.1079", "0.0").replace("-0.1052", "0.0")
-    (folder / "file.toml").write_text(text)
-    table = tomllib.loads(text)
-    for i, j, added, linear in (1, 5, 1.5, 0.8), (5, 1, 1.5, -0.5):
-        table["added_mass"]["matrix"][i][j] = added
-        table["damping"]["linear"][i][j] = linear
-    (folder / "true.toml").write_text(tomli_w.dumps(table))
-    return load_vehicle(folder / "file.toml"), blind_vehicle.load(folder / "true.toml")
-
-
-def test_a_coupling_that_the_file_lacks_is_found_within_its_interval(tmp_path):
-    craft, other = uncoupled_and_coupled(tmp_path)
-    t, hold = np.arange(0.0, 240.0, 0.2), 25
-    commands = np.repeat(np.random.default_rng(3).uniform(-0.9, 0.9, (len(t) // hold, 3)), hold, axis=0)
-    plant, rest = blind.Model(other, []), np.zeros((13, 1))
-    run = blind.simulate(
-        [(0, plant)], commands[:, :, None], rest, len(t), t0=0.0, thrust=0.0, dt=0.2, step=0.2
-    )
-    clean = blind.observed([], t, run.signals())[:, :, 0]
-    noise = craft.stated_noise * np.random.default_rng(4).standard_normal(clean.shape)
-    log = Log(t, clean + noise, commands, None, craft.thruster_names, "log.csv")
-    found = fit(craft, log, everything, prior=0.3, entries="coupled")
-    assert found.reduced_chi2 == pytest.approx(1.0, abs=0.1)
-    for name, true in ("added_mass[yaw,sway]", 1.5), ("damping.linear[sway<-yaw]", 0.8):
-        one = found[name]
-        assert one.start == 0.0 and abs(one.value - true) < 3 * one.std_model, one
-        # It is known, and not what the prior left of it.
-        assert one.std_model < 0.2 * true
-    one = found["damping.linear[yaw<-sway]"]
-    assert abs(one.value + 0.5) < 3 * one.std_model < 0.5
 
 
 def test_what_a_hull_alike_on_both_sides_couples():

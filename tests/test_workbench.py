@@ -284,7 +284,7 @@ def tabled() -> Workbench:
 
 
 def test_coefficients_of_the_file_and_how_far_it_is_commonly_wrong():
-    """A tenth, of the total mass and of damping; where sway has no linear one, 2 % of 90 kg."""
+    """A tenth, of the total mass, couplings and damping; where sway has no linear one, 2 % of 90 kg."""
     found = {c.label: (c.value, c.prior) for c in tabled().base}
     expected = {
         "added_mass:surge": (5.0, 5.5),
@@ -296,6 +296,7 @@ def test_coefficients_of_the_file_and_how_far_it_is_commonly_wrong():
         "quadratic_damping:surge": (30.0, 3.0),
         "quadratic_damping:sway": (90.0, 9.0),
         "quadratic_damping:yaw": (8.0, 0.8),
+        "coupled_added_mass:sway+yaw": (2.0, 0.2),
         "coupled_damping:sway<-yaw": (-7.0, 0.7),
     }
     assert found == {label: pytest.approx(pair) for label, pair in expected.items()}
@@ -312,6 +313,7 @@ def test_a_refiled_vehicle_has_each_coefficient_changed_and_nothing_else():
         mass[i, i] = by[f"added_mass:{axis}"]
         linear[i, i] = by[f"linear_damping:{axis}"]
         quadratic[i, i] = by[f"quadratic_damping:{axis}"]
+    mass[1, 5] = mass[5, 1] = by["coupled_added_mass:sway+yaw"]
     linear[1, 5] = by["coupled_damping:sway<-yaw"]
     assert np.allclose(after.added_mass - before.added_mass, mass)
     assert np.allclose(after.damping.linear - before.damping.linear, linear)

@@ -358,7 +358,8 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
     width = max(map(len, precision))
     columns = [np.pad(c, [(0, 0), (0, width - c.shape[1])]) for c in columns]
     precision = [np.pad(p, (0, width - len(p)), constant_values=1.0) for p in precision]
-    middle = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
+    depth = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
+    middle, half = _ranges(vehicle)
     crafts = [vehicle.place(cause) for cause in causes]
     return _Causes(
         SaturatedPlant(vehicle, families, jnp.ones((1, len(vehicle.placed)))),
@@ -366,9 +367,10 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         jnp.asarray(np.array(columns)),
         jnp.asarray(np.array(precision)),
         jnp.asarray(weight),
-        *map(jnp.asarray, _ranges(vehicle)),
+        jnp.asarray(middle),
+        jnp.asarray(half),
         jnp.asarray(np.arange(round(duration / DT)) * DT),
-        initial_state(vehicle.place(*causes), (0.0, 0.0, middle)),
+        initial_state(vehicle.place(*causes), (0.0, 0.0, depth)),
         max(substeps(craft, DT, box.speed) for craft in crafts),
         # As a diagnosis of such a log: each window has an initial state of its own.
         round(window_length(duration, DT) / DT),
