@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -270,6 +271,7 @@ def test_an_effect_that_is_fitted_has_a_target_of_the_vehicle(jaxmarine, folder)
     ("words", "sentence"),
     [
         (["--free", "linear"], "names a coefficient twice"),
+        (["--free", "coupling"], "names a coefficient twice"),
         (["--prior", "0"], "--prior 0: is no width"),
         (["--prior", "nan"], "--prior nan: is no width"),
     ],
@@ -365,6 +367,26 @@ def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, 
     # Of twenty seconds, in which a curve is worth little less than a factor.
     np.testing.assert_allclose(fitted.reverse, thrust, rtol=0.1)
     np.testing.assert_allclose(fitted.quadratic, 0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("free", "entries", "leaves"),
+    [("coupling", "coupled", 3), ("all", "coupled", 4), ("linear", "diagonal", 1)],
+)
+def test_fit_frees_what_couples_axes_where_it_is_asked_for(
+    jaxmarine, folder, ship, monkeypatch, free, entries, leaves
+):
+    asked = []
+
+    def fit(vehicle, logs, select, **options):
+        asked.append((len(jax.tree.leaves(select(vehicle))), options["entries"], options["prior"]))
+        return SimpleNamespace(converged=False, result="as nothing was fitted.")
+
+    monkeypatch.setattr("jaxmarine.fitting.fit", fit)
+    words = call("fit", folder)
+    words[words.index("damping")] = free
+    assert jaxmarine(*words)[0] == 2
+    assert asked == [(leaves, entries, 0.3 if free == "all" else None)]
 
 
 def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypatch):
