@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._types import DOFS, Velocity, Wrench
-from .actuators import Swivels
+from .actuators import AbstractActuators, Supply, Swivels
 from .physics import apply
 from .vehicle import Plant, Vehicle
 
@@ -34,7 +34,8 @@ def allocate(
     - `dof`: the axes on which it is asked for, default all free ones; on the others it comes out as it does.
     - `velocity`: of the craft through the water, body axes [m/s, rad/s], default at rest.
     - `begin`: commands from which those of propellers, surfaces and swivels are sought, in the columns'
-      units; default the middle of their usual ranges. What nobody commands, wind and battery, stays there.
+      units; default the middle of their usual ranges. What nobody commands stays there: by default it is
+      calm, and the battery has its nominal voltage.
 
     Of thrusters alone the least thrusts in the sense of least squares, as shares of `max_thrust`, by the
     pseudo-inverse, and the commands that give them with `max_thrust_reverse` and `quadratic`, clipped to the
@@ -65,7 +66,7 @@ class Allocation(eqx.Module):
     - `limits`: of commands; `width`: of each column, half its usual range, what counts as one in the least
       change.
     - `begin`: the middle of each column's usual range. Thrusters that swivel are at half of their thrust, or
-      turning them would change nothing; others at rest.
+      turning them would change nothing; others at rest. No wind, and the battery's nominal voltage.
     - `commanded`: whether somebody sets a column; else it is what was measured.
     """
 
@@ -84,7 +85,7 @@ class Allocation(eqx.Module):
         return cls(
             limits=jnp.asarray(vehicle.command_limits[: len(vehicle.drive_names)]),
             width=jnp.asarray(np.concatenate([np.ones(count), *(0.5 * np.ptp(o.usual, 1) for o in others)])),
-            begin=jnp.asarray(np.concatenate([at, *(o.usual.mean(1) for o in others)])),
+            begin=jnp.asarray(np.concatenate([at, *map(_begin, others)])),
             rows=tuple(DOFS.index(name) for name in dof),
             commanded=(True,) * count + tuple(o.commanded for o in others for _ in o.columns),
             count=count,
@@ -135,6 +136,12 @@ class Allocation(eqx.Module):
         acting = jax.lax.fori_loop(0, _STEPS, step, start * drive.max_thrust)
         shares = acting[: self.count] / drive.max_thrust[: self.count]
         return jnp.concatenate([self._of_shares(plant, shares), acting[self.count :]])
+
+
+def _begin(one: AbstractActuators) -> Float[np.ndarray, " columns"]:
+    if isinstance(one, Supply):
+        return np.asarray(one.nominal[:1])
+    return one.usual.mean(axis=1) if one.commanded else np.zeros(len(one.columns))
 
 
 def _uncurved(

@@ -57,9 +57,8 @@ def test_a_packaged_craft_is_driven_and_stays_upright(name):
     assert np.nanmax(np.abs(log.channels[:, 3:5])) < 0.8
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("bluerov2", marks=pytest.mark.slow), "blueboat", "milliampere"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NEW)
 def test_a_log_of_a_packaged_craft_is_checked(name):
     craft = packaged(name)
     check = jm.check(craft, driven(name))

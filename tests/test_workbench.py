@@ -158,11 +158,16 @@ def test_a_craft_without_thrusters_can_be_weighed():
     assert bench.sound(bench.start())
 
 
-def test_every_knot_of_a_slow_log_shows_in_a_sample():
-    """Velocities show a force from the next sample on: with a sample to each the last would be free."""
+def test_every_knot_of_a_slow_log_has_two_samples():
+    """Velocities show a force from the next sample on: with one to each the last knot would be free."""
     bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
     assert (bench.knots, bench.data.windows.step.shape[1]) == (6, 12)
     assert (np.diff(bench.places.t, axis=1) == 2.0).all()
+
+
+@pytest.mark.slow
+def test_the_last_knot_of_a_slow_log_shows():
+    bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
     width = len(bench.start().z)
     shown = np.diagonal(bench.with_knots(bench.start()).h[:, width:, width:], axis1=1, axis2=2)
     assert (shown.reshape(bench.count, 6, 6)[..., boat().free > 0] > 0.0).all()

@@ -74,8 +74,8 @@ def follow(
     - `feedback`: None leaves the wrench alone.
     - `errors`: by what the sensors move the state at each sample (`State.moved`).
     - `steered`: axes on which the craft's own actuators are to give the wrench, as far as they can: by
-      commands from `allocate` at the velocity that is measured, and with limits, lags and rates. None: the
-      wrench itself acts.
+      commands from `allocate` at the velocity that is measured, and with limits, lags and rates, in a calm.
+      None: the wrench itself acts.
     """
     if wrench.shape != (len(reference.t), 6):
         raise ValueError(f"Argument `wrench` must be ({len(reference.t)}, 6), but is {wrench.shape}.")
