@@ -8,6 +8,7 @@ from . import physics as physics
 from . import reports as reports
 from . import simulation as simulation
 from ._errors import InputError as InputError
+from .allocation import allocate as allocate
 from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose
@@ -56,9 +57,6 @@ from .vehicle import (
 )
 from .vehicle import (
     Vehicle as Vehicle,
-)
-from .vehicle import (
-    allocate as allocate,
 )
 from .vehicle import (
     forward_dynamics as forward_dynamics,

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from enum import StrEnum
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -377,6 +378,7 @@ _FREE = {
     "linear": lambda v: v.damping.linear,
     "quadratic": lambda v: v.damping.quadratic,
     "added_mass": lambda v: v.added_mass,
+    "coupling": lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic),
     "thrust": lambda v: v.thrusters.max_thrust,
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
@@ -389,7 +391,7 @@ _FREE = {
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
 _OF_ACTUATORS = ("propeller", "surface", "cross_flow")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
-_ALL = ("damping", "added_mass", "thrust", *_OF_ACTUATORS)
+_ALL = ("coupling", "thrust", *_OF_ACTUATORS)
 _ALL_PRIOR = 0.3
 
 
@@ -414,11 +416,17 @@ def fit(
     ] = None,
     columns: ColumnsOption = None,
 ) -> None:
-    """Fits coefficients that the vehicle file has (diagonal entries), and effects, by the trajectory loss."""
+    """Fits coefficients that the vehicle file has, and effects, by the trajectory loss.
+
+    Of matrices the diagonals; with `coupling` also what joins their axes.
+    """
     every = free == ["all"]
-    if len(set(free)) < len(free) or ("damping" in free and {"linear", "quadratic"} & {*free}):
+    twice = "damping" in free and {"linear", "quadratic"} & {*free}
+    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
+    if len(set(free)) < len(free) or twice:
         raise InputError(
-            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`); once will do."
+            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
+            "`added_mass`); once will do."
         )
     if prior is not None and not prior > 0:
         raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
@@ -461,7 +469,7 @@ def fit(
                 logs,
                 lambda v: tuple(select(v) for select in chosen),
                 prior=prior,
-                entries="diagonal",
+                entries="coupled" if "coupling" in free else "diagonal",
                 throw=False,
             ),
             tell,
@@ -550,28 +558,46 @@ def plan(
     _say(f"Commands: {out}")
 
 
-@app.command(epilog="Example: `jaxmarine demo --out demo-report`")
+class Kind(StrEnum):
+    """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
+
+    ROV = "rov"
+    AUV = "auv"
+    SHIP = "ship"
+    BOAT = "boat"
+
+
+@app.command(epilog="Example: `jaxmarine demo --craft ship --out demo-report`")
 def demo(
     out: Annotated[Path, typer.Option("--out", help="Folder for logs and report.")] = Path("demo-report"),
+    craft: Annotated[
+        Kind,
+        typer.Option(
+            "--craft",
+            help="An ROV with a weak thruster, a torpedo with a stuck plane, a tanker whose rudder is off, "
+            "or a ferry with a weak azimuth thruster.",
+        ),
+    ] = Kind.ROV,
 ) -> None:
-    """Makes a log of the ROV Tethra with a weak thruster hidden in it, and finds it."""
+    """Makes a log of a packaged craft with something hidden in it, and finds it."""
     _prepare()
     from .diagnosis import diagnose as run
-    from .examples import hidden
+    from .examples import DEMOS
     from .logs import write_log
-    from .vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
+    from .vehicle_io import save_vehicle
 
     _folder(out, make=False)
-    craft = load_vehicle(packaged_vehicle("tethra"))
-    with _progress("simulating Tethra") as tell:
-        train, test = _stoppable(lambda _: hidden(craft, "thruster_gain", "port_h", {"factor": 0.72}), tell)
+    shown = DEMOS[craft]
+    vehicle = shown.vehicle()
+    with _progress(f"simulating {vehicle.name}") as tell:
+        train, test = _stoppable(lambda _: shown.logs(vehicle), tell)
         tell(f"diagnosing; {_FIRST_TIME}")
-        result = _stoppable(lambda tell: run(craft, train, test, progress=tell), tell, _import_reports)
+        result = _stoppable(lambda tell: run(vehicle, train, test, progress=tell), tell, _import_reports)
     _folder(out)
-    save_vehicle(craft, out / "vehicle.toml")
+    save_vehicle(vehicle, out / "vehicle.toml")
     write_log(train, out / "train.csv")
     write_log(test, out / "test.csv")
-    _say("Hidden in the log: thruster port_h gives 0.72 of its thrust.")
+    _say(f"Hidden in the log: {shown.told}.")
     _write(result, out)
 
 

@@ -1,6 +1,7 @@
 """Logs that the package makes itself: an operator at the sticks, and sensors with noise."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import scipy.ndimage
@@ -12,7 +13,7 @@ from .effects import CATALOGUE, AbstractEffect, place
 from .logs import Log
 from .simulation import initial_state, simulate
 from .vehicle import Placed, Vehicle
-from .vehicle_io import suspect_named
+from .vehicle_io import load_vehicle, packaged_vehicle, suspect_named
 
 # Of an operator at the sticks, as a share of full commands.
 STRENGTH = 0.6
@@ -75,20 +76,79 @@ def hidden(
     vehicle: Vehicle,
     effect: str,
     target: str | None,
-    parameters: dict[str, float],
+    parameters: Mapping[str, float],
     duration: tuple[float, float] = (180.0, 90.0),
     seed: int = 0,
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
+    dt: float = 0.1,
 ) -> tuple[Log, Log]:
     """A training and a test log of the vehicle with an effect in it that its file does not have.
 
-    Lengths in seconds, sampled at 10 Hz. `catalogue`: where the effect is found by its name.
+    Lengths and `dt` between samples in seconds. `catalogue`: where the effect is found by its name.
     """
     suspect = suspect_named(vehicle, effect, target, catalogue)
     plant = vehicle.place(Placed(place(suspect, vehicle, parameters), target))
     logs = []
     for i, (length, name) in enumerate(zip(duration, ("train.csv", "test.csv"), strict=True)):
-        t = np.arange(0.0, length, 0.1)
+        t = np.arange(0.0, length, dt)
         commands = operated(vehicle, t, seed + 2 * i)
         logs.append(recorded(plant, commands, t, seed + 2 * i + 1, name))
     return logs[0], logs[1]
+
+
+@dataclasses.dataclass(frozen=True)
+class Demo:
+    """A packaged craft with an effect hidden in its logs; `told` says in words what that is.
+
+    - `duration` [s] of the training and the test log, `dt` [s] between samples: as slow as the craft is.
+    """
+
+    craft: str
+    effect: str
+    target: str
+    parameters: Mapping[str, float]
+    told: str
+    duration: tuple[float, float] = (180.0, 90.0)
+    dt: float = 0.1
+
+    def vehicle(self) -> Vehicle:
+        """The craft as its file has it, without what is hidden."""
+        return load_vehicle(packaged_vehicle(self.craft))
+
+    def logs(self, vehicle: Vehicle) -> tuple[Log, Log]:
+        """The training and the test log of `vehicle()`."""
+        return hidden(vehicle, self.effect, self.target, self.parameters, self.duration, dt=self.dt)
+
+
+# By the kind of craft.
+DEMOS: Mapping[str, Demo] = {
+    "rov": Demo(
+        "tethra", "thruster_gain", "port_h", {"factor": 0.72}, "thruster port_h gives 0.72 of its thrust"
+    ),
+    "auv": Demo(
+        "remus100",
+        "surface_stuck",
+        "plane_star",
+        {"angle": 0.08},
+        "plane_star is stuck at 0.08 rad",
+        dt=0.2,
+    ),
+    "ship": Demo(
+        "kvlcc2",
+        "surface_offset",
+        "rudder",
+        {"angle": 0.06},
+        "the rudder stands 0.06 rad beside its command",
+        (600.0, 300.0),
+        0.5,
+    ),
+    "boat": Demo(
+        "milliampere",
+        "thruster_gain",
+        "aft",
+        {"factor": 0.6},
+        "azimuth thruster aft gives 0.6 of its thrust",
+        (240.0, 120.0),
+        0.2,
+    ),
+}

@@ -249,6 +249,40 @@ def test_reach_is_full_thrust_and_full_rudder(ship):
     assert most[1] > 10 and most[5] > 10 and not most[[2, 3, 4]].any()
 
 
+@pytest.mark.parametrize(("n", "delta", "u"), [(15.0, 0.4, 0.8), (12.0, -0.2, 1.0), (18.0, 0.0, 0.0)])
+def test_allocated_shaft_speed_and_rudder_give_the_wrench_of_the_book(ship, n, delta, u):
+    velocity = [u, 0, 0, 0, 0, 0]
+    x, _, yaw = by_the_book(n, delta, max(u, 1e-9), 0.0, 0.0)
+    # What inverse dynamics ask for stands beside what a propeller that does not turn brakes.
+    idle = 0.8 * 1000 * 0.15**2 * -0.14 * (0.7 * u) ** 2
+    wanted = jnp.array([x - idle, 0, 0, 0, 0, yaw])
+    found = jm.allocate(ship, jnp.stack([wanted, wanted]), ("surge", "yaw"), jnp.asarray(velocity, float))
+    np.testing.assert_allclose(found, [[n, delta]] * 2, rtol=1e-4, atol=1e-4)
+
+
+def test_without_flow_a_fin_is_left_where_it_is(tmp_path):
+    fin = "\n".join(SHIP[SHIP.index("[[surface]]") : SHIP.index("[sensors]")].splitlines()[:5])
+    craft = read(tmp_path, BARE + fin + "\nlift_slope = 2.4\nmax_angle = 0.7\n")
+    turn = jnp.array([0.0, 0, 0, 0, 0, 5.0])
+    begin = jnp.array([0.1])
+    assert jm.allocate(craft, turn, ("yaw",), begin=begin) == begin
+    # At a crawl it goes to its limit, and at speed where it gives 1.5 rho A / 2 u² f sin(d) cos(d).
+    crawl, fast = (jm.allocate(craft, turn, ("yaw",), jnp.zeros(6).at[0].set(u)) for u in (0.1, 1.5))
+    assert crawl == pytest.approx(0.7)
+    assert 1.5 * 15 * 1.5**2 * 2.4 * np.sin(2 * float(fast[0])) / 2 == pytest.approx(5.0)
+
+
+def test_azimuths_are_turned_to_give_a_wrench():
+    ferry = jm.load_vehicle(jm.packaged_vehicle("milliampere"))
+    wanted = np.array([[100.0, 150.0, 0, 0, 0, -80.0], [-50.0, 20.0, 0, 0, 0, 200.0]])
+    found = np.asarray(jm.allocate(ferry, jnp.asarray(wanted)))
+    (fore, aft), (fore_angle, aft_angle) = 500 * found[:, :2].T, found[:, 2:].T
+    x = fore * np.cos(fore_angle) + aft * np.cos(aft_angle)
+    sides = fore * np.sin(fore_angle), aft * np.sin(aft_angle)
+    given = np.stack([x, sides[0] + sides[1], 1.8 * (sides[0] - sides[1])], axis=1)
+    np.testing.assert_allclose(given, wanted[:, [0, 1, 5]], atol=1e-3)
+
+
 def test_acceleration_is_that_of_the_forces(ship):
     """One instant by hand: nothing but propeller and rudder acts on a ship at rest."""
     plant, state = ship.plant(), jm.initial_state(ship)

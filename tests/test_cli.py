@@ -2,6 +2,7 @@
 
 import _thread
 import dataclasses
+import json
 import os
 import re
 import signal
@@ -14,15 +15,17 @@ from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
 
 import jaxmarine as jm
 from jaxmarine._progress import FITTING, in_round
-from jaxmarine.cli import _progress, _say, _say_gain, _stoppable, _Stopped
+from jaxmarine.cli import Kind, _progress, _say, _say_gain, _stoppable, _Stopped
 from jaxmarine.diagnosis import BeforeAfter, Gain, LogGain
-from jaxmarine.examples import operator, recorded
+from jaxmarine.examples import DEMOS, operator, recorded
+from jaxmarine.vehicle_io import cause_named
 
 from .shell import exit_code
 
@@ -268,6 +271,7 @@ def test_an_effect_that_is_fitted_has_a_target_of_the_vehicle(jaxmarine, folder)
     ("words", "sentence"),
     [
         (["--free", "linear"], "names a coefficient twice"),
+        (["--free", "coupling"], "names a coefficient twice"),
         (["--prior", "0"], "--prior 0: is no width"),
         (["--prior", "nan"], "--prior nan: is no width"),
     ],
@@ -363,6 +367,26 @@ def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, 
     # Of twenty seconds, in which a curve is worth little less than a factor.
     np.testing.assert_allclose(fitted.reverse, thrust, rtol=0.1)
     np.testing.assert_allclose(fitted.quadratic, 0.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("free", "entries", "leaves"),
+    [("coupling", "coupled", 3), ("all", "coupled", 4), ("linear", "diagonal", 1)],
+)
+def test_fit_frees_what_couples_axes_where_it_is_asked_for(
+    jaxmarine, folder, ship, monkeypatch, free, entries, leaves
+):
+    asked = []
+
+    def fit(vehicle, logs, select, **options):
+        asked.append((len(jax.tree.leaves(select(vehicle))), options["entries"], options["prior"]))
+        return SimpleNamespace(converged=False, result="as nothing was fitted.")
+
+    monkeypatch.setattr("jaxmarine.fitting.fit", fit)
+    words = call("fit", folder)
+    words[words.index("damping")] = free
+    assert jaxmarine(*words)[0] == 2
+    assert asked == [(leaves, entries, 0.3 if free == "all" else None)]
 
 
 def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypatch):
@@ -475,13 +499,57 @@ def test_without_a_terminal_stages_are_lines_with_the_share_and_the_time_left(ca
 
 
 @pytest.mark.slow
-def test_the_demo_finds_what_it_hides(jaxmarine, folder):
-    code, out, _ = jaxmarine("demo", "--out", folder / "demo")
+@pytest.mark.parametrize("craft", DEMOS)
+def test_the_demos_find_what_they_hide(jaxmarine, folder, craft):
+    shown = DEMOS[craft]
+    code, out, _ = jaxmarine("demo", "--craft", craft, "--out", folder / "demo")
     assert code == 0
-    assert "Verdict: explained" in out and "thruster_gain:port_h: factor = 0.7" in out
+    assert "Verdict: explained" in out and shown.told in out
+    (finding,) = json.loads((folder / "demo" / "diagnosis.json").read_text())["findings"]
+    assert (finding["effect"], finding["target"]) == (shown.effect, shown.target)
+    for name, value in shown.parameters.items():
+        found = finding["parameters"][name]
+        # Within its error, and two parts in a hundred of what that leaves out.
+        assert found["value"] == pytest.approx(value, abs=4 * found["std"] + 0.02 * abs(value))
     made = {path.name for path in (folder / "demo").iterdir()}
-    assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json"}
-    assert "index.html" in made
+    assert made >= {"train.csv", "test.csv", "vehicle.toml", "extended.toml", "diagnosis.json", "index.html"}
+    page = (folder / "demo" / "index.html").read_text()
+    vehicle = jm.load_vehicle(folder / "demo" / "vehicle.toml")
+    assert all(f"<dt>{one.title}</dt>" in page for one in vehicle.actuators)
+
+
+@pytest.mark.parametrize("craft", DEMOS)
+def test_the_logs_of_a_demo_hide_what_it_says(craft):
+    """The craft with the effect leaves noise in the first part of the log, the craft as filed leaves more."""
+    shown = dataclasses.replace(DEMOS[craft], duration=(40.0, 40.0))
+    vehicle = shown.vehicle()
+    train, test = shown.logs(vehicle)
+    assert train.dt == pytest.approx(shown.dt) and not np.array_equal(train.commands, test.commands)
+    told = " ".join(f"{name}={value}" for name, value in shown.parameters.items())
+    cause = cause_named(vehicle, f"{shown.effect}:{shown.target} {told}")
+    # The neutral effect is the file, in the shape of the program that made the logs.
+    crafts = [
+        vehicle.place(cause),
+        vehicle.place(jm.Placed(type(cause.effect).neutral(vehicle), cause.target)),
+    ]
+    used = np.isfinite(vehicle.stated_noise) & (np.tile(vehicle.free, 3) > 0)
+    chi2 = []
+    for one in crafts:
+        off = np.asarray(jm.simulate(one, train, jm.initial_state(one)).channels) - train.channels
+        off[:, 3:6] = (off[:, 3:6] + np.pi) % (2 * np.pi) - np.pi
+        chi2.append(float((off / vehicle.stated_noise)[:, used].var()))
+    assert chi2[0] == pytest.approx(1.0, abs=0.1) and chi2[1] > 2.0
+    # The number in the sentence is the one that is hidden.
+    assert all(f"{value:g}" in shown.told for value in shown.parameters.values())
+
+
+def test_a_kind_of_craft_that_there_is_not_is_refused(jaxmarine, folder):
+    code, _, err = jaxmarine("demo", "--craft", "plane", "--out", folder / "demo")
+    assert code == 2 and "'plane' is not one of" in err and not (folder / "demo").exists()
+
+
+def test_the_command_line_knows_every_demo():
+    assert [kind.value for kind in Kind] == list(DEMOS)
 
 
 def test_help_does_not_wait_for_the_compiler():

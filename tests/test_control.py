@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import typer
+from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
 
 import jaxmarine as jm
@@ -168,6 +169,51 @@ def test_feedback_turns_the_shorter_way_and_goes_where_its_sensor_says(held):
     errors = jnp.zeros((1000, 12)).at[:, 0].set(0.1)
     settled = _hold_station(held, feedback, jm.initial_state(held), errors)
     assert float(settled["x"][-1]) == pytest.approx(-0.1, abs=1e-4)
+
+
+# --- through the craft's own actuators ----------------------------------------------------------------
+
+
+def torpedo_on_a_line(craft: jm.Vehicle, depth: float, heading: float) -> control.Run:
+    """The torpedo, 3 m above a straight line and off its heading, steered onto it by propeller and fins."""
+    speed, end = 1.5, 90.0
+    there = np.array([np.cos(heading), np.sin(heading)]) * speed * end
+    ends = np.array([[0, 0, depth, 0, 0, heading], [*there, depth, 0, 0, heading]])
+    reference = control.Path(CubicSpline([0.0, end], ends)).at(np.arange(0.0, end, 0.2))
+    # Way and speed by the propeller, heading by rudders; planes pitch it by 0.05 rad for a metre of depth.
+    stiffness, damping = jnp.zeros((6, 6)), jnp.zeros((6, 6))
+    for i, k, d in (0, 3.0, 20.0), (4, 12.0, 8.0), (5, 6.0, 8.0):
+        stiffness, damping = stiffness.at[i, i].set(k), damping.at[i, i].set(d)
+    feedback = control.Feedback(stiffness.at[4, 2].set(-0.6), damping)
+    start = jm.initial_state(craft, (0, 0, depth - 3.0), (0, 0, 0), (1.2, 0, 0, 0, 0, 0))
+    wrench = control.feedforward(craft, reference)
+    return control.follow(craft, reference, wrench, start, feedback, steered=("surge", "pitch", "yaw"))
+
+
+def test_a_torpedo_holds_depth_and_heading_by_its_fins():
+    craft = jm.load_vehicle(jm.packaged_vehicle("remus100"))
+    run = torpedo_on_a_line(craft, 8.0, 0.4)
+    z, psi, u = (np.asarray(run.trajectory[name]) for name in ("z", "psi", "u"))
+    assert (z[0], psi[0]) == (5.0, 0.0)
+    # Without an integral a small trim is left: 0.005 rad of pitch are worth 0.1 m.
+    np.testing.assert_allclose(z[-50:], 8.0, atol=0.12)
+    np.testing.assert_allclose(psi[-50:], 0.4, atol=0.005)
+    np.testing.assert_allclose(u[-50:], 1.5, atol=0.01)
+    assert run.commands is not None and run.commands.shape == (450, 5)
+    assert np.abs(np.asarray(run.commands)[:, 1:]).max() <= 0.2618 + 1e-12
+    # Its commands drive a simulation the same way: the actuators did it, and nothing else.
+    t, commands = np.asarray(run.trajectory.t), np.asarray(run.commands)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, craft.command_names, "-")
+    state = jax.tree.map(lambda a: a[30], run.trajectory.states)
+    again = jm.simulate(craft, log.between(t[30], t[100]), state)
+    np.testing.assert_allclose(again["z"][-1], z[30 + len(again.t) - 1], atol=0.05)
+
+
+def test_a_late_actuator_is_not_steered_by():
+    craft = jm.load_vehicle(jm.packaged_vehicle("remus100"))
+    late = eqx.tree_at(lambda v: v.actuators[0].delay, craft, craft.actuators[0].delay + 0.5)
+    with pytest.raises(ValueError, match="without delay"):
+        torpedo_on_a_line(late, 8.0, 0.4)
 
 
 # --- learning -------------------------------------------------------------------------------------

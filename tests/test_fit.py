@@ -30,6 +30,7 @@ from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Input, Placed, State, Vehicle
 from jaxmarine.vehicle_io import load_vehicle, save_vehicle
 from tests.boats import NOISE, boat, record, steps
+from tests.crafts import packaged
 
 SEEDS = 20
 
@@ -90,6 +91,15 @@ def test_planted_parameters_are_recovered_from_a_wrong_start():
         "added_mass[yaw]",
     ]
     np.testing.assert_allclose([p.start for p in found.parameters], planted(start), atol=1e-12)
+
+
+def test_what_a_hull_alike_on_both_sides_couples():
+    freed, scales = set_free(packaged("bluerov2_heavy"), lambda v: v.added_mass, 0.3, "coupled")
+    joined = {"heave,surge", "pitch,surge", "pitch,heave", "roll,sway", "yaw,sway", "yaw,roll"}
+    assert {name for name in freed.names if "," in name} == {f"added_mass[{pair}]" for pair in joined}
+    # 0.3 of the root of (13.5 + 18.68) kg and (0.23 + 0.135) kg m².
+    widths = dict(zip(freed.names, scales.prior, strict=True))
+    assert widths["added_mass[pitch,heave]"] == pytest.approx(0.3 * np.sqrt(32.18 * 0.365))
 
 
 @pytest.mark.parametrize("channels", ["x y psi", "u v r", "x y r", "psi u v", "u r"])

@@ -32,7 +32,7 @@ BOAT, ROV = "cybership2", "tethra"
 # One seed of every effect of the catalogue.
 FIRST = {"thruster_lag": 2}
 # What came later has seeds of its own, which leaves the others theirs.
-LATER = {"reverse_thrust": 80, "turning_lift": 81, "wind_push": 82}
+LATER = {"reverse_thrust": 80, "turning_lift": 81, "wind_push": 82, "coupled_added_mass": 83}
 # What is looked at before anything is fitted has tests of its own (`test_gross.py`).
 GROSS = {"compass_deviation", "exchanged_thrusters", "sensor_delay"}
 # Of the others some can be seen on a craft that moves in all six axes only.

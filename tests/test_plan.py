@@ -10,12 +10,12 @@ import pytest
 from jaxmarine import InputError
 from jaxmarine.diagnosis import Box, Manoeuvre, plan
 from jaxmarine.diagnosis._model import Member
-from jaxmarine.diagnosis._plan import DT, _causes
+from jaxmarine.diagnosis._plan import DT, _causes, _ranges
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.effects import CATALOGUE
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
-from jaxmarine.vehicle_io import cause_named
+from jaxmarine.vehicle_io import cause_named, load_vehicle, packaged_vehicle
 
 from .crafts import packaged
 
@@ -80,6 +80,27 @@ def test_commands_and_states_stay_within_their_limits(which):
     position, velocity = np.asarray(run.states.position), np.asarray(run.states.velocity)
     assert np.hypot(position[:, 0], position[:, 1]).max() <= BOX.radius
     assert np.linalg.norm(velocity[:, :3], axis=1).max() <= BOX.speed
+
+
+def test_each_column_is_planned_in_its_own_unit(tmp_path):
+    """Shaft speed and rudder of the tanker; thrusters, angles and battery of a ferry with one."""
+    ship = packaged("kvlcc2")
+    wake, lag = (cause_named(ship, words) for words in ("wake:propeller fraction=0.1", WORDS[1]))
+    problem = _causes(ship, (wake, lag), 24.0, BOX)
+    # The hyperbolic tangent of these is 1 to ten digits, of others between.
+    corners = jnp.array([[20.0, -20.0], [-20.0, 20.0], [0.0, 0.0], [0.5, 0.5]])
+    commands = np.asarray(problem.commands(corners))
+    assert commands.shape == (240, 2) and not commands[0].any()
+    at = [round(share * 239) for share in (0.25, 0.5)]
+    # From 0.2 to 0.9 of 25 rev/s, and to either side as far as the rudder goes, or others stall.
+    np.testing.assert_allclose(commands[at], [[22.5, -0.6], [5.0, 0.6]], rtol=0.02)
+    assert 5.0 < commands[-1, 0] < 22.5 and 0.0 < commands[-1, 1] < 0.6
+
+    text = packaged_vehicle("milliampere").read_text().replace("lag = 0.3", "nominal_voltage = 20.0")
+    (tmp_path / "ferry.toml").write_text(text)
+    middle, half = _ranges(load_vehicle(tmp_path / "ferry.toml"))
+    np.testing.assert_allclose(middle, [0, 0, 0, 0, 19.0])
+    np.testing.assert_allclose(half, [1, 1, 0.6, 0.6, 0])
 
 
 def test_what_cannot_be_planned_is_refused():

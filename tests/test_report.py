@@ -677,6 +677,7 @@ SENTENCES = {
     "linear_damping": ("yaw", {"value": -2.0}, "2.0 ± 0.2 N m s less linear damping in yaw"),
     "quadratic_damping": ("sway", {"value": 2.0}, "more quadratic damping in sway"),
     "coupled_damping": ("sway<-yaw", {"value": 2.0}, "motion in yaw causes a force in sway"),
+    "coupled_added_mass": ("sway+yaw", {"value": -2.0}, "2.0 ± 0.2 kg m less added mass between them"),
     "hull_lift": (None, {"Y_uv": 20.0, "N_uv": 3.0}, "Y_uv 20.0 ± 0.2 N s²/m²"),
     "turning_lift": (None, {"Y_ur": 20.0, "N_ur": 3.0}, "in turns at speed the hull feels a lift"),
     "fluid_memory": (

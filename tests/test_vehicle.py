@@ -17,6 +17,7 @@ from experiments.blind import plant as blind
 from experiments.blind import vehicle as blind_vehicle
 from jaxmarine._errors import InputError
 from jaxmarine._types import DOFS
+from jaxmarine.allocation import _uncurved, allocate
 from jaxmarine.effects import (
     CATALOGUE,
     Buoyancy,
@@ -34,8 +35,6 @@ from jaxmarine.vehicle import (
     Placed,
     State,
     Vehicle,
-    _uncurved,
-    allocate,
     forward_dynamics,
     inverse_dynamics,
 )

@@ -158,10 +158,19 @@ def test_a_craft_without_thrusters_can_be_weighed():
     assert bench.sound(bench.start())
 
 
-def test_every_knot_of_a_slow_log_has_a_sample_of_its_own():
+def test_every_knot_of_a_slow_log_has_two_samples():
+    """Velocities show a force from the next sample on: with one to each the last knot would be free."""
     bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
-    assert bench.knots == bench.data.windows.step.shape[1] == 12
-    assert (np.diff(bench.places.t, axis=1) == 1.0).all()
+    assert (bench.knots, bench.data.windows.step.shape[1]) == (6, 12)
+    assert (np.diff(bench.places.t, axis=1) == 2.0).all()
+
+
+@pytest.mark.slow
+def test_the_last_knot_of_a_slow_log_shows():
+    bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
+    width = len(bench.start().z)
+    shown = np.diagonal(bench.with_knots(bench.start()).h[:, width:, width:], axis1=1, axis2=2)
+    assert (shown.reshape(bench.count, 6, 6)[..., boat().free > 0] > 0.0).all()
 
 
 @pytest.mark.parametrize("counts", [(75,), (600,), (601,), (9000,), (700, 3, 900), (2,) * 700])
@@ -280,7 +289,7 @@ def tabled() -> Workbench:
 
 
 def test_coefficients_of_the_file_and_how_far_it_is_commonly_wrong():
-    """A tenth, of the total mass and of damping; where sway has no linear one, 2 % of 90 kg."""
+    """A tenth, of the total mass, couplings and damping; where sway has no linear one, 2 % of 90 kg."""
     found = {c.label: (c.value, c.prior) for c in tabled().base}
     expected = {
         "added_mass:surge": (5.0, 5.5),
@@ -292,6 +301,7 @@ def test_coefficients_of_the_file_and_how_far_it_is_commonly_wrong():
         "quadratic_damping:surge": (30.0, 3.0),
         "quadratic_damping:sway": (90.0, 9.0),
         "quadratic_damping:yaw": (8.0, 0.8),
+        "coupled_added_mass:sway+yaw": (2.0, 0.2),
         "coupled_damping:sway<-yaw": (-7.0, 0.7),
     }
     assert found == {label: pytest.approx(pair) for label, pair in expected.items()}
@@ -308,6 +318,7 @@ def test_a_refiled_vehicle_has_each_coefficient_changed_and_nothing_else():
         mass[i, i] = by[f"added_mass:{axis}"]
         linear[i, i] = by[f"linear_damping:{axis}"]
         quadratic[i, i] = by[f"quadratic_damping:{axis}"]
+    mass[1, 5] = mass[5, 1] = by["coupled_added_mass:sway+yaw"]
     linear[1, 5] = by["coupled_damping:sway<-yaw"]
     assert np.allclose(after.added_mass - before.added_mass, mass)
     assert np.allclose(after.damping.linear - before.damping.linear, linear)

@@ -20,6 +20,14 @@ COUPLINGS = (
     ("heave", "surge"),
     ("yaw", "surge"),
 )
+JOINED = (
+    ("surge", "heave"),
+    ("surge", "pitch"),
+    ("heave", "pitch"),
+    ("sway", "roll"),
+    ("sway", "yaw"),
+    ("roll", "yaw"),
+)
 LASTING = (
     "constant_wrench",
     "buoyancy",
@@ -31,7 +39,7 @@ LASTING = (
 )
 DAMPED = ("linear_damping", "quadratic_damping", "coupled_damping")
 # Coefficients that a wrong file has wrong anyway: none is hidden beside it, and none named there is false.
-DAMP = (*DAMPED, "added_mass")
+DAMP = (*DAMPED, "added_mass", "coupled_added_mass")
 
 
 @dataclass(frozen=True)
@@ -167,6 +175,12 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             to, by = COUPLINGS[rng.choice([k for k, c in enumerate(COUPLINGS) if set(c) <= set(dofs)])]
             unit = np.sqrt(s.drag[DOFS.index(to)] * s.drag[DOFS.index(by)])
             return Draw(effect(lambda a: {"value": one * a * unit}, f"{to}<-{by}"), 0.02, 0.4, 1.5)
+        case "coupled_added_mass":  # less than the root of both, or the mass would not be positive
+            one_of = [k for k, pair in enumerate(JOINED) if set(pair) <= set(dofs)]
+            pair = JOINED[rng.choice(one_of)]
+            i, j = (DOFS.index(dof) for dof in pair)
+            unit = np.sqrt(s.inertia[i] * s.inertia[j])
+            return Draw(effect(lambda a: {"value": one * a * unit}, "+".join(pair)), 0.01, 0.15, 0.6)
         case "hull_lift":
             unit = s.drag[[1, 5, 2, 4]] / s.speed[0]
             unit[[1, 3]] = np.sqrt(unit[[0, 2]] * unit[[1, 3]])
@@ -249,7 +263,7 @@ def names(vehicle: Vehicle) -> list[str]:
         "thruster_gain", "thrust_curve", "input_delay", "saturation", "inflow_loss",
         "velocity_lever_arm",
         "velocity_scale", "velocity_misalignment", "velocity_in_earth_axes", "gyro_bias",
-        "reverse_thrust", "turning_lift",
+        "reverse_thrust", "turning_lift", "coupled_added_mass",
         "compass_deviation", "sensor_delay", "exchanged_thrusters",
     ]  # fmt: skip
     if len(vehicle.free) == 6:

@@ -180,6 +180,10 @@ class Model:
                     self.blown = self.blown + e.vector("north", "east", "down")
                 case "added_mass":
                     added[row, row] += value
+                case "coupled_added_mass":
+                    one, other = (DOFS.index(dof) for dof in str(e.target).split("+"))
+                    added[one, other] += value
+                    added[other, one] += value
                 case "payload":
                     mass, r = e.parameters["mass"], e.vector("x", "y", "z")
                     lifted = v.density * v.gravity * e.parameters.get("volume", 0.0)

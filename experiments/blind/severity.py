@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .catalogue import COUPLINGS
+from .catalogue import COUPLINGS, JOINED
 from .plant import Effect, Model, Outside, Run, observed, simulate, thrust_states
 from .vehicle import DOFS, Array, Vehicle
 
@@ -92,6 +92,9 @@ def linear_suspects(vehicle: Vehicle) -> list[list[Effect]]:
     for to, by in COUPLINGS:
         if to in dofs and by in dofs:
             out.append([Effect("coupled_damping", f"{to}<-{by}", {"value": 1e-3})])
+    for pair in JOINED:
+        if set(pair) <= set(dofs):
+            out.append([Effect("coupled_added_mass", "+".join(pair), {"value": 1e-3})])
     for target in (*vehicle.names, "all"):
         out.append([Effect("thruster_gain", target, {"factor": 1.001})])
         out.append([Effect("reverse_thrust", target, {"factor": 1.001})])

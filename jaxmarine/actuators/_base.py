@@ -57,6 +57,7 @@ class AbstractActuators(eqx.Module):
 
     key: ClassVar[str]  # of their tables [[key]] in a vehicle file
     single: ClassVar[bool] = False  # it has one table [key] in all
+    commanded: ClassVar[bool] = True  # somebody sets its columns; else they are what was measured
     title: ClassVar[str]  # of their row in a report
     table: ClassVar[type[Table]]  # what such a table may say
 

@@ -27,6 +27,7 @@ class Supply(AbstractActuators):
     key: ClassVar[str] = BATTERY
     title: ClassVar[str] = "Thrusters on the battery"
     table: ClassVar[type[Table]] = Table
+    commanded: ClassVar[bool] = False
 
     nominal: Float[Array, " supplied"]
     exponent: Float[Array, " supplied"]

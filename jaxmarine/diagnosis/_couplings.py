@@ -1,10 +1,13 @@
-"""What the coupling terms of a file may be off by that are not recalibrated: all but linear damping's."""
+"""What the coupling terms of a file may be off by that are not recalibrated: quadratic damping's, and added
+mass between axes that no hull joins which is alike on port and starboard."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from .._types import DOFS
+from ..effects import PAIRS
 from ..physics import coriolis
 from ..vehicle import Vehicle
 from ._signals import Places
@@ -22,7 +25,10 @@ def couplings(vehicle: Vehicle, places: Places) -> Float[np.ndarray, "windows kn
     between = np.outer(vehicle.free, vehicle.free) > 0
     added = np.asarray(vehicle.added_mass)
     out = []
+    joined = {(DOFS.index(a), DOFS.index(b)) for a, b in PAIRS}
     for i, j in np.argwhere(np.triu(added != 0, 1) & between):
+        if (i, j) in joined:
+            continue
         pair = np.zeros((6, 6))
         pair[i, j] = pair[j, i] = added[i, j]
         out.append(nu_dot @ pair + np.asarray(swirl(jnp.asarray(pair), jnp.asarray(nu))))

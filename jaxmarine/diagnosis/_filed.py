@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, CoupledDamping, LinearDamping, QuadraticDamping, Suspect
+from ..effects import (
+    AbstractEffect,
+    AddedMass,
+    CoupledAddedMass,
+    CoupledDamping,
+    LinearDamping,
+    QuadraticDamping,
+    Suspect,
+)
 from ..vehicle import Vehicle
 from ._saturated import Layout
 
@@ -18,6 +26,7 @@ FILE_ERROR = 0.1
 # Where a vehicle has the matrix that an effect changes.
 FILED: dict[type[AbstractEffect], str] = {
     AddedMass: "added_mass",
+    CoupledAddedMass: "added_mass",
     LinearDamping: "damping.linear",
     QuadraticDamping: "damping.quadratic",
     CoupledDamping: "damping.linear",
@@ -51,8 +60,8 @@ class Coefficient:
 
 
 def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
-    """Added mass and damping of each free axis, with priors of a tenth of their value; then linear damping
-    between axes, where the file has some.
+    """Added mass and damping of each free axis, with priors of a tenth of their value; then added mass and
+    linear damping between axes, where the file has some.
 
     Of the total mass for added mass. Where the file says zero on an axis, the prior is what brakes it by 2 %
     a second (linear), or at 1 m/s or rad/s (quadratic).
@@ -64,7 +73,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
             continue
         row, column = matrix_place(suspect)
         value = np.asarray(attrgetter(FILED[suspect.effect])(vehicle))[row, column]
-        if suspect.effect is CoupledDamping and not value:
+        if row != column and not value:
             continue
         scale = mass[row, column] if suspect.effect is AddedMass else value
         out.append(
@@ -83,8 +92,8 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
 
 
 def matrix_place(suspect: Suspect) -> tuple[int, int]:
-    """Row and column of the coefficient that a suspect with the target `row` or `row<-column` accuses."""
-    row, _, column = str(suspect.target).partition("<-")
+    """Row and column of the coefficient that a suspect accuses; target `row`, `row<-column`, `row+column`."""
+    row, _, column = str(suspect.target).replace("<-", "+").partition("+")
     return DOFS.index(row), DOFS.index(column or row)
 
 
@@ -95,5 +104,7 @@ def refiled(vehicle: Vehicle, base: Sequence[Coefficient], changes: Float[np.nda
         for c, change in zip(base, changes, strict=True):
             if c.kind == kind:
                 matrix[c.place] = change
+                if c.effect is CoupledAddedMass:
+                    matrix[c.place[::-1]] = change
         vehicle = eqx.tree_at(attrgetter(kind), vehicle, attrgetter(kind)(vehicle) + matrix)
     return vehicle

@@ -200,11 +200,11 @@ class Workbench:
         self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
         own = Room.of(data.records, data.windows)
         self.room = room if room is not None and room.holds(own) else own
-        # No more than samples: a knot without one would stand for nothing.
+        # Two samples or more to each: what pushes behind a window's last one shows nowhere.
         steps = data.windows.step.shape[1]
         parts = parts_of(steps, float(np.median([log.dt for log in data.logs])))
         of_part = round(data.length / parts / KNOT)
-        self.knots = parts * min(max(2 if parts == 1 else 1, of_part), steps // parts)
+        self.knots = parts * min(max(2 if parts == 1 else 1, of_part), max(1, steps // (2 * parts)))
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
         self._known = set[tuple[str, int, bool | None]]()  # programs that are compiled, by kinds of models

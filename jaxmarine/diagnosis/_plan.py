@@ -82,6 +82,7 @@ class _Causes(eqx.Module):
     - `theta`: parameters of the saturated plant with each cause at its given values; `columns`: from the
       numbers that are refitted to them, `precision` of those numbers; filled up with numbers that do nothing.
     - `weight`: 1 / standard deviation of each channel, 0 where it is not measured.
+    - `middle`, `half`: of the range of each command column, in its own unit.
     """
 
     plant_of: SaturatedPlant
@@ -89,11 +90,25 @@ class _Causes(eqx.Module):
     columns: Float[Array, "causes parameters z"]
     precision: Float[Array, "causes z"]
     weight: Float[Array, "18"]
+    middle: Float[Array, " columns"]
+    half: Float[Array, " columns"]
     t: Float[Array, " times"]
     start: State
     split: int = eqx.field(static=True)
     window: int = eqx.field(static=True)
     box: Box = eqx.field(static=True)
+
+    def commands(self, corners: Float[Array, "corners columns"]) -> Float[Array, "times columns"]:
+        """Commands along straight lines between corners, of any size, each within its column's range.
+
+        What can be commanded begins at zero: what it did before the log began would be another unknown.
+        """
+        x = jnp.linspace(0.0, 1.0, len(corners) + 1)
+        heights = self.middle[None] + self.half[None] * jnp.tanh(corners)
+        begin = jnp.where(self.half > 0.0, 0.0, self.middle)
+        heights = jnp.concatenate([begin[None], heights])
+        share = self.t / self.t[-1]
+        return jax.vmap(lambda y: jnp.interp(share, x, y), in_axes=1, out_axes=1)(heights)
 
     def _roll(self, plant: Plant, start: State, tracks) -> tuple[State, Array]:
         """States and channels at each step of a stretch."""
@@ -204,23 +219,13 @@ class _Causes(eqx.Module):
         )
 
 
-def _commands(corners: Float[Array, "corners columns"], t: Array) -> Array:
-    """Commands along straight lines between corners, within -1 and 1.
-
-    From zero: what thrusters did before the log began would be another unknown.
-    """
-    x = jnp.linspace(0.0, 1.0, len(corners) + 1)
-    heights = jnp.pad(jnp.tanh(corners), [(1, 0), (0, 0)])
-    return jax.vmap(lambda y: jnp.interp(t / t[-1], x, y), in_axes=1, out_axes=1)(heights)
-
-
 def _leaving(sizes: Array) -> Array:
     """The price of leaving the inner box: squared, averaged over time."""
     return WALL * (jnp.maximum(sizes - INSIDE**2, 0.0) ** 2).mean(axis=1).sum()
 
 
 def _staying(corners: Array, causes: _Causes) -> tuple[Array, None]:
-    return _leaving(causes.sizes(causes.flown(_commands(corners, causes.t))[0])), None
+    return _leaving(causes.sizes(causes.flown(causes.commands(corners))[0])), None
 
 
 def _telling(corners: Array, causes: _Causes) -> tuple[Array, tuple[Array, Array]]:
@@ -228,7 +233,7 @@ def _telling(corners: Array, causes: _Causes) -> tuple[Array, tuple[Array, Array
 
     Beside it the least separation, and the largest of all sizes in that of the box, squared.
     """
-    commands = _commands(corners, causes.t)
+    commands = causes.commands(corners)
     states, channels = causes.flown(commands)
     apart, sizes = causes.separations(commands, states, channels), causes.sizes(states)
     softly_least = 1.0 / (1.0 / jnp.maximum(apart, 1e-9)).sum()
@@ -317,7 +322,7 @@ def plan(
 
 def _log(causes: _Causes, corners: Array, name: str) -> Log:
     """The commands, and what the vehicle with the first cause shows."""
-    commands = _commands(corners, causes.t)
+    commands = causes.commands(corners)
     channels = np.asarray(causes.flown(commands)[1])[0]
     vehicle = causes.plant_of.vehicle
     shown = np.where(np.asarray(causes.weight) > 0, channels, np.nan)
@@ -328,7 +333,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
     if len(causes) < 2:
         raise InputError("A plan needs two causes to tell apart; name another one.")
     if not vehicle.command_names:
-        raise InputError(f"{vehicle.name}: has no thrusters to plan commands for.")
+        raise InputError(f"{vehicle.name}: has no thrusters or other actuators to plan commands for.")
     if duration < 2 * WINDOW:
         raise InputError(
             f"A manoeuvre of {duration:g} s is too short for a diagnosis; give {2 * WINDOW:g} s or more."
@@ -353,7 +358,8 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
     width = max(map(len, precision))
     columns = [np.pad(c, [(0, 0), (0, width - c.shape[1])]) for c in columns]
     precision = [np.pad(p, (0, width - len(p)), constant_values=1.0) for p in precision]
-    middle = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
+    depth = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
+    middle, half = _ranges(vehicle)
     crafts = [vehicle.place(cause) for cause in causes]
     return _Causes(
         SaturatedPlant(vehicle, families, jnp.ones((1, len(vehicle.placed)))),
@@ -361,10 +367,28 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         jnp.asarray(np.array(columns)),
         jnp.asarray(np.array(precision)),
         jnp.asarray(weight),
+        jnp.asarray(middle),
+        jnp.asarray(half),
         jnp.asarray(np.arange(round(duration / DT)) * DT),
-        initial_state(vehicle.place(*causes), (0.0, 0.0, middle)),
+        initial_state(vehicle.place(*causes), (0.0, 0.0, depth)),
         max(substeps(craft, DT, box.speed) for craft in crafts),
         # As a diagnosis of such a log: each window has an initial state of its own.
         round(window_length(duration, DT) / DT),
         box,
     )
+
+
+def _ranges(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of each command column, and how far a plan goes from it, in the column's unit.
+
+    Thrusters and a sliding mass over all their commands, other actuators as their `usual` ones. What is
+    logged but nobody commands, wind and battery, stays in its middle.
+    """
+    count = len(vehicle.thruster_names)
+    low, high = -np.ones(count), np.ones(count)
+    for one in vehicle.actuators:
+        ends = one.usual if one.commanded else np.repeat(one.usual.mean(axis=1, keepdims=True), 2, axis=1)
+        low, high = np.append(low, ends[:, 0]), np.append(high, ends[:, 1])
+    if vehicle.slider is not None:
+        low, high = np.append(low, -1.0), np.append(high, 1.0)
+    return 0.5 * (low + high), 0.5 * (high - low)

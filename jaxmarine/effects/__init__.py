@@ -75,8 +75,10 @@ from ._drive import (
 from ._drive import (
     ThrusterLag as ThrusterLag,
 )
+from ._load import PAIRS as PAIRS
 from ._load import AddedMass as AddedMass
 from ._load import Buoyancy as Buoyancy
+from ._load import CoupledAddedMass as CoupledAddedMass
 from ._load import Payload as Payload
 from ._load import Trim as Trim
 from ._sensor import (
@@ -156,6 +158,7 @@ CATALOGUE: tuple[type[AbstractEffect], ...] = (
     Trim,
     Payload,
     AddedMass,
+    CoupledAddedMass,
     ConstantWrench,
     LinearDamping,
     QuadraticDamping,

@@ -4,9 +4,10 @@ import dataclasses
 from typing import Self
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from .._types import Scalar
+from .._types import DOFS, Scalar
 from ..physics import Load, rigid_body_matrix, skew
 from ._base import Craft, LoadEffect, Suspect, free, per_dof, scalar, zeros
 
@@ -33,6 +34,50 @@ class AddedMass(LoadEffect):
 
     def __call__(self, load: Load) -> Load:
         return dataclasses.replace(load, added=load.added + jnp.diag(self.value))
+
+
+# Axes whose added masses a hull joins that is alike on port and starboard.
+PAIRS = (
+    ("surge", "heave"),
+    ("surge", "pitch"),
+    ("heave", "pitch"),
+    ("sway", "roll"),
+    ("sway", "yaw"),
+    ("roll", "yaw"),
+)
+_ROWS, _COLUMNS = np.array([[DOFS.index(dof) for dof in pair] for pair in PAIRS]).T
+
+
+class CoupledAddedMass(LoadEffect):
+    """More added mass between two axes, in both rows of the matrix, with its Coriolis terms. Neutral: 0.
+
+    Only between axes that a hull joins which is alike on port and starboard. Source: Fossen (2021), sec. 6.3.
+    """
+
+    name = "coupled_added_mass"
+    units = {"value": "kg, kg m or kg m²"}
+    confused_with = ("payload", "coupled_damping", "velocity_lever_arm")
+    shown_by = "strong accelerations along one axis while the other is free"
+    advice = "the water's mass lies off where the file has it: look at trim, draught and appendages"
+
+    value: Float[Array, "6"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(zeros(len(PAIRS)))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return tuple(
+            Suspect(cls, "+".join(pair), {"value": (i,)})
+            for i, pair in enumerate(PAIRS)
+            if {*pair} <= {*craft.dof}
+        )
+
+    def __call__(self, load: Load) -> Load:
+        more = jnp.zeros((6, 6), self.value.dtype).at[_ROWS, _COLUMNS].set(self.value)
+        return dataclasses.replace(load, added=load.added + more + more.T)
 
 
 class Payload(LoadEffect):

@@ -135,7 +135,9 @@ def fit(
       `free(vehicle)`, where 0 holds an entry and inf means none. What the logs do not determine stays at the
       start by it, with that standard error. A learned network needs one, as its weights are never all
       determined.
-    - `entries`: of 6x6 matrices "all", those "nonzero" in the start, or the "diagonal".
+    - `entries`: of 6x6 matrices "all", those "nonzero" in the start, the "diagonal", or "coupled": with the
+      diagonal what joins surge, heave and pitch, and what joins sway, roll and yaw, as in a hull that is
+      alike on port and starboard. Between axes a prior is relative to the geometric mean of their diagonals.
     - `dissipative`: keeps the symmetric part of damping matrices positive semidefinite.
     - `reject`: leaves out windows whose chi-square lies far above the median one (trajectory only), because
       something acted in them that is not in the model: a collision, a fault. Less than half may be such.

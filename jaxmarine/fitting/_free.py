@@ -20,7 +20,7 @@ from .._errors import InputError
 from .._types import DOFS, Matrix6
 from ..vehicle import Plant, Vehicle
 
-Selection = Literal["all", "nonzero", "diagonal"]
+Selection = Literal["all", "nonzero", "diagonal", "coupled"]
 Select = Callable[[Vehicle], Any]
 
 # Damping that brakes by this share in a second (at 1 m/s or rad/s): the size of an entry whose axis
@@ -29,6 +29,9 @@ _BRAKING = 0.2
 # Share of an axis' total inertia below which a fitted one fades out instead of becoming negative, and the
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
+# Of each axis the group within which a hull that is alike on port and starboard couples: surge, heave and
+# pitch; sway, roll and yaw. Source: Fossen (2021), sec. 6.3 (symmetry of the added mass).
+_COUPLED = (0, 1, 0, 1, 0, 1)
 # Leaves of numbers that are positive by what they are.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
 # A dissipative matrix starts with at least this share of its size in every direction, because its
@@ -249,9 +252,11 @@ def set_free(
     - `prior`: width relative to the start (of an inertia: to the total; of an entry that is zero:
       to its typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`, and none of an
       effect of the catalogue), or standard deviations in the structure of `free(vehicle)`: 0 holds an
-      entry, inf leaves it without prior.
-    - `entries`: of 6x6 matrices all, those that are not zero, or the diagonal; never those of
-      locked axes.
+      entry, inf leaves it without prior. Between two axes the typical size is the geometric mean of their
+      diagonals, of an inertia in total: a matrix that is positive has less there, and a hull whose centre
+      lies a tenth of its length off a third of it, as its moment of inertia is about mass times length² / 12.
+    - `entries`: of 6x6 matrices all, those that are not zero, the diagonal, or with it what couples axes
+      in a hull that is alike on port and starboard; never those of locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
     """
     places, paths = _chosen(vehicle, free)
@@ -358,6 +363,7 @@ def _mask(vehicle: Vehicle, leaf, entries: Selection, symmetric: bool) -> np.nda
         "all": np.ones((6, 6), bool),
         "nonzero": np.asarray(leaf) != 0,
         "diagonal": np.eye(6, dtype=bool),
+        "coupled": np.equal.outer(_COUPLED, _COUPLED),
     }
     if entries not in wanted:
         raise ValueError(f"Argument `entries` must be one of {', '.join(wanted)}, not {entries!r}.")

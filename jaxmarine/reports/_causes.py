@@ -81,6 +81,8 @@ def title(label: str) -> str:
     if name == "coupled_damping" and "<-" in target:
         pushed, moving = target.split("<-", 1)
         return f"damping in {pushed} from motion in {moving}"
+    if name == "coupled_added_mass" and "+" in target:
+        return f"added mass between {' and '.join(target.split('+', 1))}"
     if name == "sensor_delay" and target:
         return f"late {target}"
     if name in ("constant_wrench", "unknown") and target:
@@ -253,6 +255,14 @@ def _coupled_damping(f: Finding, v: Vehicle) -> str:
     return (
         f"motion in {moving} causes a {_force(pushed)} that the file does not have "
         f"(linear damping {_pm(f, 'value')})"
+    )
+
+
+def _coupled_added_mass(f: Finding, v: Vehicle) -> str:
+    one, _, other = (f.target or "").partition("+")
+    return (
+        f"the water couples {one} and {other} otherwise than the file says: {_size(f, 'value')} "
+        f"{_more(_value(f, 'value'))} added mass between them"
     )
 
 
@@ -460,6 +470,7 @@ _SENTENCES: dict[str, Callable[[Finding, Vehicle], str]] = {
     "linear_damping": _linear_damping,
     "quadratic_damping": _quadratic_damping,
     "coupled_damping": _coupled_damping,
+    "coupled_added_mass": _coupled_added_mass,
     "hull_lift": _hull_lift,
     "turning_lift": _turning_lift,
     "fluid_memory": _fluid_memory,

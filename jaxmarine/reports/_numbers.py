@@ -64,7 +64,7 @@ def unit_on(unit: str, target: str | None) -> str:
         return ""
     if len(options) == 1 or target is None:
         return unit
-    turning = sum(dof in DOFS[3:] for dof in target.split("<-"))
+    turning = sum(dof in DOFS[3:] for dof in target.replace("<-", "+").split("+"))
     return options[min(turning, len(options) - 1)]
 
 
