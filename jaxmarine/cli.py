@@ -381,13 +381,14 @@ _FREE = {
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
     "propeller": lambda v: tuple(
-        (one.kt, one.wake_fraction) for one in v.actuators if one.key == "propeller"
+        (one.kt, one.kt_reverse, one.wake_fraction) for one in v.actuators if one.key == "propeller"
     ),
     "surface": lambda v: tuple(one.lift_slope for one in v.actuators if one.key == "surface"),
     "cross_flow": lambda v: tuple(one.coefficient for one in v.actuators if one.key == "cross_flow"),
+    "wind": lambda v: tuple((one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "wind"),
 }
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
-_OF_ACTUATORS = ("propeller", "surface", "cross_flow")
+_OF_ACTUATORS = ("propeller", "surface", "cross_flow", "wind")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
 _ALL = ("damping", "added_mass", "thrust", *_OF_ACTUATORS)
 # Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.

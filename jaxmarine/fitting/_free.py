@@ -31,9 +31,9 @@ _BRAKING = 0.2
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
 # Leaves of numbers that are positive by what they are: thrusts, and of actuators the thrust at rest (the
-# first number of `kt`), the lift of a surface and drag across the flow.
+# first number of `kt` and of `kt_reverse`), the lift of a surface and drag across the flow.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
-_OF_ACTUATORS = ("kt", "lift_slope", "coefficient")
+_OF_ACTUATORS = ("kt", "kt_reverse", "lift_slope", "coefficient")
 # Of a hull's lift, the power of its length that makes a mass the parameter.
 _LIFTS = {"Y_uv": -1, "Z_uw": -1, "N_uv": 0, "M_uw": 0, "Y_ur": 0, "N_ur": 1}
 # Share of its typical size at which damping on a diagonal begins that is zero in the file: no log shows it.
@@ -293,9 +293,11 @@ def set_free(
                 leaf = vehicle.thrusters.reverse
             flat, labels = np.arange(leaf.size), _labels(vehicle, name, np.asarray(leaf))
             # Of thrust over the advance the first number alone has a sign of its own.
-            may = flat % 3 == 0 if name.endswith(".kt") else np.ones(len(flat), bool)
+            may = flat % leaf.shape[-1] == 0 if leaf.ndim > 1 else np.ones(len(flat), bool)
             part = _magnitudes(np.asarray(leaf), flat, labels, may, np.zeros(len(flat)))
-            size = np.abs(np.asarray(leaf).ravel())
+            size = np.abs(np.asarray(leaf).reshape(leaf.shape[0], -1))
+            # One that is zero may be as large as the others of its curve.
+            size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()
             size = np.where(size > 0, size, 1.0)
         else:
             if name == "thrusters.max_thrust_reverse":
