@@ -51,7 +51,7 @@ HORIZONS, EVERY = (5.0, 30.0, 100.0), 10.0  # [s]; a prediction starts so often,
 COLUMNS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 X, Y, PSI, U, V, R = (CHANNELS.index(name) for name in ("x", "y", "psi", "u", "v", "r"))
 # Advance and tactical diameter [m] of MARIN's turns, measured and predicted, as their repository prints them
-# (docs/paper/06.20_results_kvlcc2.ipynb): its regression on the same zigzags, thirteen with that of 35 degrees.
+# (docs/paper/06.20_results_kvlcc2.ipynb): its regression on the same zigzags and that of 35 degrees.
 PRINTED = {"tc_35": ((21.59, 21.21), (21.72, 23.07)), "tc_-35": ((22.54, 22.10), (23.55, 24.29))}
 
 Run = tuple[str, str]
@@ -104,7 +104,7 @@ def errors(vehicle: jm.Vehicle, log: jm.Log, horizon: float) -> Errors:
     """Of predictions that begin in the measured state, over their whole length."""
     out = [np.zeros((0, len(COLUMNS)))]
     for first in starts(log, horizon):
-        part = log.between(log.t[first], log.t[first + round(horizon / log.dt)])
+        part = log.between(float(log.t[first]), float(log.t[first + round(horizon / log.dt)]))
         out.append(missed(np.asarray(jm.simulate(vehicle, part, started(vehicle, part)).channels), part))
     return np.concatenate(out)
 
@@ -113,7 +113,7 @@ def held(log: jm.Log, horizon: float) -> Errors:
     """Of going on as at the start, on a circle if it turns."""
     out = [np.zeros((0, len(COLUMNS)))]
     for first in starts(log, horizon):
-        part = log.between(log.t[first], log.t[first + round(horizon / log.dt)])
+        part = log.between(float(log.t[first]), float(log.t[first + round(horizon / log.dt)]))
         channels, t = np.tile(part.channels[0], (len(part.t), 1)), part.t - part.t[0]
         u, v, r = channels[0, [U, V, R]]
         channels[:, PSI] += r * t

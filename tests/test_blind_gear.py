@@ -109,7 +109,9 @@ def test_pilots_keep_a_heading_and_hidden_effects_are_drawn(name):
     size = cases.typical(blind, "rich")
     for effect in catalogue.names(blind):
         drawn = catalogue.draw(effect, blind, size, rng)
-        plant.Model(blind, [drawn.build(drawn.guess)])
+        built = drawn.build(drawn.guess)
+        assert isinstance(built, plant.Effect)
+        plant.Model(blind, [built])
 
 
 def test_a_share_of_the_logs_is_of_such_craft():
