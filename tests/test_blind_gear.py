@@ -104,8 +104,8 @@ def test_a_run_is_that_of_the_package():
 def test_pilots_keep_a_heading_and_hidden_effects_are_drawn(name):
     _, blind = both(name)
     rng = np.random.default_rng(3)
-    log = cases.regulated(blind, [], "pilot", 300, rng, 1.0)
-    assert log.commands.shape == (300, len(blind.columns)) and np.ptp(log.commands[:, 1]) > 0.0
+    log = cases.regulated(blind, [], "pilot", 100, rng, 1.0)
+    assert log.commands.shape == (100, len(blind.columns)) and np.ptp(log.commands[:, 1]) > 0.0
     size = cases.typical(blind, "rich")
     for effect in catalogue.names(blind):
         drawn = catalogue.draw(effect, blind, size, rng)

@@ -314,7 +314,7 @@ class Gear:
         if self.strip is not None:
             out += self.strips(nu_r)
         if self.wind is not None:
-            out += self.blown(*state[k : k + 2], nu, r)
+            out += self.blown(state[k], state[k + 1], nu, r)
         return out
 
     def strips(self, nu_r: Array) -> Array:
@@ -337,7 +337,7 @@ class Gear:
         pressure = 0.5 * AIR * (over[0] ** 2 + over[1] ** 2)
 
         def series(key: str, function) -> Array:
-            return sum(a * function((k + 1) * angle) for k, a in enumerate(w.get(key, [0.0])))
+            return np.sum([a * function((k + 1) * angle) for k, a in enumerate(w.get(key, [0.0]))], axis=0)
 
         force = np.zeros_like(over)
         force[0] = pressure * w["frontal_area"] * series("surge", np.cos)
