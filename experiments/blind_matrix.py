@@ -1,14 +1,16 @@
 """Can the diagnosis be trusted? Hundreds of logs with a known answer, graded.
 
-usage: python -m experiments.blind_matrix --out DIR [--blocks 25] [--feedback 0.5] [--jobs 2] [--seed 1]
-                                          [--quick]
+usage: python -m experiments.blind_matrix --out DIR [--blocks 25] [--feedback 0.5] [--geared 0] [--jobs 2]
+                                          [--seed 1] [--quick]
 
 A block is 24 logs: 6 with nothing hidden, 8 with one effect, 4 with two, 3 with an effect outside the
 catalogue, 3 with one effect, a vehicle file that is 15 % wrong and a disturbance. Vehicles, effects,
 magnitudes, noise and manoeuvres are drawn at random from shuffled decks. A share of the logs is steered by
 controllers (a pilot, station keeping, tracking) that act on the noisy samples, in calm water, gusts, slow
-forces, waves or a current that wanders. Of those steered by sticks a third of the logs with nothing hidden
-and a fifth of those with effects are disturbed too. The simulator and its step are not those of the diagnosis
+forces, waves or a current that wanders. `--geared` draws craft with a propeller and a rudder, with four
+fins, and with thrusters that turn for a share of the logs. Of those steered by sticks a third of the logs
+with nothing hidden and a fifth of those with effects are disturbed too. The simulator and its step are not
+those of the diagnosis
 (`experiments/blind`). It goes on where it was cut. Writes results.json, results.md and the figures
 reliability and detection.
 """
@@ -73,14 +75,20 @@ COVERED = {"sticks": (0.93, 0.97), "feedback": (0.92, 0.98)}
 
 
 def written(
-    out: Path, block: int, seed: int, ships: Sequence[str], content: dict[str, int], feedback: float
+    out: Path,
+    block: int,
+    seed: int,
+    ships: Sequence[str],
+    content: dict[str, int],
+    feedback: float,
+    geared: float = 0.0,
 ) -> None:
     """Writes the cases of a block that are not there yet: all, or none of them."""
     done = out / f"block_{block:02d}.done"
     if done.exists():
         return
     counts = [content[kind] for kind in cases.KINDS]
-    plan = cases.Plan(*counts, train=300.0, test=150.0, noises=NOISES, feedback=feedback)
+    plan = cases.Plan(*counts, train=300.0, test=150.0, noises=NOISES, feedback=feedback, geared=geared)
     designer = cases.Designer(plan, ships, seed=seed * 1000 + block)
     for kind, count in content.items():
         low, high = SEVERITY.get(kind, cases.SEVERITIES.get(kind, (1.0, 1.0)))
@@ -367,10 +375,16 @@ def main(
     feedback: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the logs that a controller steers.")
     ] = 0.5,
+    geared: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=1.0, help="Share of the logs of craft with propellers, surfaces or azimuths."
+        ),
+    ] = 0.0,
     quick: Annotated[bool, typer.Option("--quick", help="Three logs of one craft.")] = False,
 ) -> None:
     """Draws logs that hide something, diagnoses and grades them."""
-    drawn = f"_{feedback:g}" if feedback else ""
+    drawn = (f"_{feedback:g}" if feedback else "") + (f"_geared_{geared:g}" if geared else "")
     folder = out / (f"cases_{seed}{drawn}" + ("_quick" if quick else ""))
     folder.mkdir(parents=True, exist_ok=True)
     ships, content = SHIPS, BLOCK
@@ -383,7 +397,8 @@ def main(
     with Progress(transient=True) as bar, pool:
         drawing = bar.add_task("drawing logs", total=blocks)
         drawn = [
-            pool.submit(written, folder, block, seed, ships, content, feedback) for block in range(blocks)
+            pool.submit(written, folder, block, seed, ships, content, feedback, geared)
+            for block in range(blocks)
         ]
         for future in as_completed(drawn):
             future.result()

@@ -383,15 +383,18 @@ _FREE = {
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
     "propeller": lambda v: tuple(
-        (one.kt, one.wake_fraction) for one in v.actuators if one.key == "propeller"
+        (one.kt, one.kt_reverse, one.wake_fraction) for one in v.actuators if one.key == "propeller"
     ),
     "surface": lambda v: tuple(one.lift_slope for one in v.actuators if one.key == "surface"),
     "cross_flow": lambda v: tuple(one.coefficient for one in v.actuators if one.key == "cross_flow"),
+    "wind": lambda v: tuple((one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "wind"),
 }
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
-_OF_ACTUATORS = ("propeller", "surface", "cross_flow")
+_OF_ACTUATORS = ("propeller", "surface", "cross_flow", "wind")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
 _ALL = ("coupling", "thrust", *_OF_ACTUATORS)
+# Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.
+_OF_HULLS = ("hull_lift", "turning_lift")
 _ALL_PRIOR = 0.3
 
 
@@ -450,6 +453,8 @@ def fit(
     lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
     if every:
         free, prior = [name for name in _ALL if name not in lacks], prior or _ALL_PRIOR
+        if {"surge", "sway", "yaw"} <= {*craft.dof} and ("surface" in has or "heave" not in craft.dof):
+            free += _OF_HULLS
     useless = [name for name in free if name in lacks]
     if useless:
         what = "thrusters" if useless[0] in _OF_THRUSTERS else f"{useless[0].replace('_', ' ')}"

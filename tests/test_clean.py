@@ -102,6 +102,19 @@ def test_too_many_are_left_as_they_are(good):
     assert clean(found) is found
 
 
+def test_a_noisy_sensor_that_freezes_often_is_missing_then(good):
+    """Two fifths of a position stand still for 2 s at a time and jump, in a wind that always changes."""
+    frozen, rows = good, []
+    for first in range(30, 380, 50):
+        frozen = held(frozen, "x", first, 20)
+        rows += range(first + 1, first + 20)
+    wind = np.random.default_rng(0).normal(size=(SAMPLES, 1))
+    log = dataclasses.replace(frozen, commands=good.commands + 1e-3 * wind)
+    found = clean(log)
+    assert missing(found, "x") == [row for row in rows if row < SAMPLES]
+    assert clean(found) is found
+
+
 def test_steps_of_a_coarse_sensor_are_told(good):
     coarse = with_channel(good, "x", np.round(column(good, "x") / 0.25) * 0.25)
     found = clean(coarse)

@@ -20,15 +20,16 @@ from jaxmarine.effects import (
     Motion,
     Suspect,
     ThrusterGain,
+    TurningLift,
     WrenchEffect,
 )
-from jaxmarine.fitting import Fit, FitError, fit
+from jaxmarine.fitting import Fit, FitError, _trajectory, fit
 from jaxmarine.fitting._free import set_free
 from jaxmarine.logs import Log
 from jaxmarine.networks import mlp_damping
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Input, Placed, State, Vehicle
-from jaxmarine.vehicle_io import load_vehicle, save_vehicle
+from jaxmarine.vehicle_io import load_vehicle, packaged_vehicle, save_vehicle
 from tests.boats import NOISE, boat, record, steps
 from tests.crafts import packaged
 
@@ -338,6 +339,55 @@ def test_dissipative_holds_where_the_log_would_have_it_otherwise():
         loss="one_step",
     )
     assert all(0.0 <= p.value < 0.05 * p.start for p in found.parameters)
+
+
+def test_numbers_that_are_positive_by_what_they_are_stay_so():
+    """Also where the file has none: damping then begins at next to nothing, and fades out."""
+    ship = load_vehicle(packaged_vehicle("kvlcc2"))
+
+    def free(v):
+        propeller, surface = v.actuators
+        return v.damping.linear, propeller.kt, surface.lift_slope
+
+    freed, scales = set_free(ship, free, prior=0.5, entries="diagonal")
+    start = np.asarray(freed.entries(freed.start))
+    mass = np.diag(np.asarray(ship.mass_matrix))[[0, 1, 5]]
+    np.testing.assert_allclose(start, [*(2e-4 * mass), 0.2931, -0.2753, -0.1385, 2.747], rtol=1e-9)
+    # Far above, a standard deviation is half of the size: 0.2 of the mass a second.
+    damping = freed.parts[0]
+    far = np.asarray(damping.entries(damping.start + 1e6)) - np.asarray(damping.entries(damping.start + 9e5))
+    np.testing.assert_allclose(far, 1e5, rtol=1e-4)
+    np.testing.assert_allclose(2.0 * scales.prior[:3], 0.5 * 0.2 * mass)
+    low = np.asarray(freed.entries(freed.start - 5.0))
+    assert (low[[0, 1, 2, 3, 6]] > 0).all() and (low[[0, 1, 2]] < start[:3]).all() and low[4] < -5.0
+
+
+def test_a_hulls_lift_that_the_file_lacks_is_held_by_mass_and_length():
+    vehicle = boat().place(Placed(TurningLift.neutral(boat()), None))
+    _, scales = set_free(vehicle, lambda v: v.placed[0].effect, prior=0.3)
+    mass = float(vehicle.body.mass)
+    length = 4.0 * np.sqrt(float(vehicle.body.matrix[5, 5]) / mass)
+    np.testing.assert_allclose(scales.prior, [0.3 * mass, 0.3 * mass * length])
+
+
+def test_a_solve_that_damping_has_stopped_begins_anew(monkeypatch):
+    """The last solve is made to end far off, by a damping under which a step promises nothing."""
+    log, start = record(boat(), steps(200), seed=3), wrong(boat(), 1.0, 1.6, 1.0)
+    usual, heavy = _trajectory.refine_windows, []
+
+    def slowed(task, z, delta, max_steps, *rtol):
+        if rtol == (_trajectory.FINE,) and not heavy:
+            heavy.append(True)
+            return usual(task, 0 * z, delta, max_steps, *rtol, 1e7)
+        return usual(task, z, delta, max_steps, *rtol)
+
+    def found():
+        return values(fit(start, log, lambda v: v.damping.linear, entries="diagonal"))
+
+    expected = found()
+    monkeypatch.setattr(_trajectory, "refine_windows", slowed)
+    np.testing.assert_allclose(found(), expected, rtol=1e-3)
+    assert heavy
 
 
 def test_an_effect_is_freed_on_its_target_only():

@@ -21,14 +21,15 @@ import tomli_w
 from . import catalogue, disturbances, outside
 from .catalogue import DAMP, LASTING, Draw, Scales, scales
 from .disturbances import gauss_markov
-from .excitation import ALONE, axes
+from .excitation import ALONE, axes, surroundings
 from .excitation import commands as operator
 from .feedback import STEERINGS, Controller, wrapped
 from .plant import SENSOR, Disturbance, Effect, Model, Outside, Run, observed, simulate
 from .severity import altered, equivalents, likeness, nearest, prediction_error
-from .vehicle import DOFS, FOLDER, Array, Vehicle, from_tables, load, perturbed
+from .vehicle import DOFS, FOLDER, GEARED, Array, Vehicle, from_tables, load, perturbed
 
 DT = 0.1  # s
+GEARS = tuple(sorted(path.stem for path in GEARED.glob("*.toml")))
 STEEPEST = 1.05  # rad, pitch and roll that a case may reach
 LATEST = 12  # samples: more than any sensor of the catalogue is late
 STRANGE = 0.3  # squared share of an effect outside the catalogue that the nearest named one has to leave
@@ -92,7 +93,9 @@ class Loop:
             clean = observed(self.effects, DT * past, self.signals[past])[-1, :, 0]
         seen = clean + self.noise[k]
         seen[3:6] = wrapped(seen[3:6])
-        self.commands[k] = now = self.controller(k, seen[:12])
+        craft = self.controller.vehicle
+        given = self.commands[k : k + 1, len(craft.steered) :]
+        self.commands[k] = now = craft.asked(self.controller(k, seen[:12])[None], given)[0]
         # What such an effect makes of a command depends on it, and on what it made of the one before.
         for alter in self.altering:
             pair = np.array([self.acting[k - 1] if k else now, now])
@@ -121,10 +124,16 @@ def close_loop(
     noise: Array,
     heading: float,
     disturbance: Disturbance | None = None,
+    given: Array | float = 0.0,
 ) -> Log:
-    """The same under a controller, that sees each sample with its noise (K, 18)."""
+    """The same under a controller, that sees each sample with its noise (K, 18).
+
+    - `given`: what the surroundings fill of the columns, if there are such.
+    """
     named, unnamed = parted(hidden)
-    loop = Loop(controller, named, unnamed, np.zeros((len(noise), len(vehicle.names))), noise)
+    commands = np.zeros((len(noise), len(vehicle.columns)))
+    commands[:, len(vehicle.steered) :] = given
+    loop = Loop(controller, named, unnamed, commands, noise)
     run = sailed(vehicle, hidden, loop.commands, heading, disturbance, loop)
     if controller.strayed > 0.5 * len(noise):
         raise Unruly(f"{vehicle.name} does not keep its heading")
@@ -143,7 +152,8 @@ def regulated(
     """A run of so many samples with set-points, noise and heading at the start drawn at random."""
     controller = Controller(vehicle, steering, samples, rng, level)
     noise = vehicle.noise * rng.standard_normal((samples, 18))
-    return close_loop(vehicle, hidden, controller, noise, float(rng.uniform(-np.pi, np.pi)), disturbance)
+    heading, given = float(rng.uniform(-np.pi, np.pi)), surroundings(vehicle, samples, rng)
+    return close_loop(vehicle, hidden, controller, noise, heading, disturbance, given)
 
 
 def parted(hidden: Sequence[Hidden]) -> tuple[list[Effect], list[Outside]]:
@@ -210,7 +220,7 @@ def table(vehicle: Vehicle, log: Log, noise: Array, rng: np.random.Generator) ->
     signals[:, 3:6] = wrapped(signals[:, 3:6])
     channels = vehicle.signals()
     columns = np.column_stack([log.times, signals[:, [row for _, row in channels]], log.commands])
-    head = ",".join(["t", *(name for name, _ in channels), *vehicle.names])
+    head = ",".join(["t", *(name for name, _ in channels), *vehicle.columns])
     return head + "\n" + "\n".join(",".join(f"{x:.6g}" for x in row) for row in columns) + "\n"
 
 
@@ -484,6 +494,9 @@ class Plan:
     severity: tuple[float, float] | None = None
     noises: tuple[float, ...] = (1.0,)  # factors on the noise, one drawn for each case
     feedback: float = 0.0  # share of the cases of each kind that a controller steers
+    geared: float = (
+        0.0  # share of the cases of each kind on craft with propellers, surfaces or turning thrusters
+    )
 
 
 KINDS = ("nulls", "singles", "pairs", "outside", "misfit")
@@ -510,7 +523,7 @@ class Designer:
     def __init__(self, plan: Plan, vehicles: Sequence[str], seed: int) -> None:
         self.plan = plan
         self.rng = np.random.default_rng(seed)
-        self.fleet = {name: load(name) for name in vehicles}
+        self.fleet = {name: load(name) for name in (*vehicles, *GEARS) if plan.geared or name in vehicles}
         self.decks: dict[str, list[str]] = {}
         self.known = sorted({n for v in self.fleet.values() for n in catalogue.names(v)})
         self.strange = sorted({n for v in self.fleet.values() for n in outside.names(v)})
@@ -554,10 +567,15 @@ class Designer:
 
     def write(self, folder: Path, kind: str, number: int, severity: float) -> str:
         """Writes one case and returns it in words."""
-        ship = self.deal("vehicle", list(self.fleet), list(self.fleet))
+        # By twos, as turns at the controllers go by ones.
+        geared = turn(number // 2 + KINDS.index(kind), self.plan.geared)
+        fit = [name for name, craft in self.fleet.items() if bool(craft.gear.columns) == geared]
+        ship = self.deal("vehicle", list(self.fleet), fit)
         vehicle = self.fleet[ship]
         if turn(number + KINDS.index(kind), self.plan.feedback):
-            excitation = self.deal("steering", STEERINGS, STEERINGS)
+            # A craft that is steered by its way cannot keep a place.
+            fit = [one for one in STEERINGS if one != "station" or not vehicle.gear.surfaces]
+            excitation = self.deal("steering", STEERINGS, fit)
             kinds = disturbances.KINDS
             # Beside a wrong file something always pushes.
             disturbance = self.deal("disturbance", kinds, kinds[1:] if kind == "misfit" else kinds)
@@ -630,13 +648,25 @@ def main() -> None:
     parser.add_argument("--train", type=float, default=300.0, help="length of the training log, s")
     parser.add_argument("--test", type=float, default=150.0, help="length of the test log, s")
     parser.add_argument("--feedback", type=float, default=0.0, help="share of logs that a controller steers")
+    parser.add_argument("--geared", type=float, default=0.0, help="share of logs of craft with such gear")
     parser.add_argument(
         "--severity", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range for all kinds"
     )
     parser.add_argument("--vehicles", nargs="+", default=sorted(p.stem for p in FOLDER.glob("*.toml")))
     a = parser.parse_args()
     span = None if a.severity is None else (a.severity[0], a.severity[1])
-    plan = Plan(a.nulls, a.singles, a.pairs, a.outside, a.misfit, a.train, a.test, span, feedback=a.feedback)
+    plan = Plan(
+        a.nulls,
+        a.singles,
+        a.pairs,
+        a.outside,
+        a.misfit,
+        a.train,
+        a.test,
+        span,
+        feedback=a.feedback,
+        geared=a.geared,
+    )
     design(a.out, plan, a.vehicles, a.seed)
 
 

@@ -74,13 +74,16 @@ def scales(vehicle: Vehicle, velocity: Array, commands: Array) -> Scales:
     """Scales of a run with velocity (K, 6) and commands (K, thrusters)."""
     speed = np.maximum(np.sqrt((velocity**2).mean(0)), 1e-3)
     drag = np.diag(vehicle.linear) + np.diag(vehicle.quadratic) * speed
-    pushed = np.sqrt(((commands @ vehicle.allocation.T) ** 2).mean(0))
+    if vehicle.gear.columns:  # whose force hangs on the flow
+        pushed = 0.5 * np.abs(vehicle.allocation).sum(1)
+    else:
+        pushed = np.sqrt(((commands @ vehicle.allocation.T) ** 2).mean(0))
     return Scales(
         speed=speed,
         drag=drag,
         wrench=np.maximum(drag * speed, 0.3 * pushed),
         inertia=np.diag(vehicle.rigid + vehicle.added).copy(),
-        reach=np.maximum(np.abs(vehicle.position).max(0), [0.2, 0.1, 0.05]),
+        reach=np.maximum(np.abs(vehicle.places).max(0), [0.2, 0.1, 0.05]),
     )
 
 
@@ -197,7 +200,8 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
         case "constant_wrench":
             return Draw(effect(lambda a: {"value": one * a * s.wrench[i]}, dof), 0.01, 0.4, 4.0)
         case "thruster_gain":
-            target = "all" if rng.random() < 0.25 else str(rng.choice(vehicle.names))
+            driving = (*vehicle.names, *(p.name for p in vehicle.gear.propellers))
+            target = "all" if rng.random() < 0.25 and vehicle.names else str(rng.choice(driving))
             sense = sign(rng, 0.25)
             return Draw(
                 effect(lambda a: {"factor": 1.0 + sense * a}, target),
@@ -209,6 +213,27 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
             target = "all" if rng.random() < 0.5 else str(rng.choice(vehicle.names))
             sense = sign(rng, 0.25)
             return Draw(effect(lambda a: {"factor": 1.0 + sense * a}, target), 0.03, 0.3, 0.9)
+        case "surface_gain":
+            target = str(rng.choice([one.name for one in vehicle.gear.surfaces]))
+            sense = sign(rng, 0.25)
+            return Draw(effect(lambda a: {"factor": 1.0 + sense * a}, target), 0.05, 0.4, 0.95)
+        case "surface_offset":
+            target = str(rng.choice([one.name for one in vehicle.gear.moving]))
+            return Draw(effect(lambda a: {"angle": one * a}, target), 0.01, 0.1, 0.3)
+        case "surface_stuck":
+            target = str(rng.choice([one.name for one in vehicle.gear.moving]))
+            return Draw(effect(lambda a: {"angle": one * a}, target), 0.0, 0.05, 0.2)
+        case "wake":
+            target = str(rng.choice([p.name for p in vehicle.gear.propellers]))
+            return Draw(effect(lambda a: {"fraction": one * a}, target), 0.02, 0.2, 0.5)
+        case "cross_flow_drag":
+            return Draw(effect(lambda a: {"coefficient": a}), 0.05, 0.6, 4.0)
+        case "wind":
+            keys = ("surge", "sway", "yaw")
+            c = shares(rng, 3) * [1.0, 1.0, 0.3]
+            return Draw(effect(lambda a: dict(zip(keys, (a * c).tolist(), strict=True))), 0.05, 0.6, 4.0)
+        case "voltage":
+            return Draw(effect(lambda a: {"exponent": one * a}), 0.05, 1.0, 3.0)
         case "thrust_curve":
             return Draw(effect(lambda a: {"quadratic": a}), 0.03, 0.4, 1.0)
         case "thruster_lag":
@@ -254,9 +279,13 @@ def draw(name: str, vehicle: Vehicle, s: Scales, rng: np.random.Generator) -> Dr
 def names(vehicle: Vehicle) -> list[str]:
     """Effects that can be seen on this vehicle.
 
+    Of craft with gear those that are of their gear, and those of hull and sensors that ships share.
+
     Restoring effects need heave, roll and pitch; a further lag or dead zone on thrusters that have
     one in the file is left out, because the contract does not say how the two combine.
     """
+    if vehicle.gear.columns:
+        return names_of_geared(vehicle)
     out = [
         "steady_current", "waves", "tether_drag", "added_mass", "payload", "linear_damping",
         "quadratic_damping", "coupled_damping", "hull_lift", "fluid_memory", "constant_wrench",
@@ -275,3 +304,22 @@ def names(vehicle: Vehicle) -> list[str]:
     if not vehicle.deadband.any():
         out += ["deadband"]
     return out
+
+
+def names_of_geared(vehicle: Vehicle) -> list[str]:
+    """Effects that can be seen on a craft with propellers, surfaces or thrusters that turn."""
+    gear = vehicle.gear
+    out = ["turning_lift", "sensor_delay", "compass_deviation", "thruster_gain"]
+    if vehicle.names:
+        out += ["reverse_thrust"]
+    if gear.surfaces:
+        out += ["surface_stuck", "surface_offset", "surface_gain"]
+    if gear.propellers:
+        out += ["wake"]
+    if gear.strip is not None:
+        out += ["cross_flow_drag"]
+    if "battery" in gear.given:
+        out += ["voltage"]
+    if gear.wind is not None:
+        return [*out, "wind"]
+    return out if "heave" in free_dofs(vehicle) else [*out, "wind_push"]

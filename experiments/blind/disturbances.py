@@ -53,7 +53,7 @@ def full_push(vehicle: Vehicle) -> Array:
     the thrusters' full moment, and passes through the height of its centre. A locked axis has none.
     """
     thrust = np.abs(vehicle.allocation).sum(1)
-    force, arm = thrust[:2].max(), np.linalg.norm(vehicle.position, axis=1).max()
+    force, arm = thrust[:2].max(), np.linalg.norm(vehicle.places, axis=1).max()
     full = np.array([force, force, force, 0.0, 0.0, min(thrust[5], 0.25 * force * arm)])
     return full * np.isin(np.arange(6), vehicle.free)
 

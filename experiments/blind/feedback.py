@@ -19,6 +19,7 @@ DT = 0.1  # s
 STEERINGS = ("pilot", "station", "tracking")
 DAMPING = 0.8  # relative, of the closed loop
 SLOWEST = 0.3  # rad/s
+SLOWEST_OF_SHIPS = 0.1  # rad/s, of what surfaces steer
 # Attitudes that right themselves are held more stiffly: a hull that moves up and ahead pitches by itself.
 FASTEST = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 1.0])  # rad/s
 # Error for which a controller of the bandwidth in between asks for full thrust [m, rad].
@@ -29,10 +30,15 @@ INTEGRAL = 0.5  # share of full thrust that the integral of an error may ask for
 SLOW_SHARE = 0.1  # of the bandwidth, of that integral
 CRUISE = 0.5  # share of full thrust of the largest speed
 ASTERN = -0.3  # share of the largest speed ahead
+FAST, UNDER_WAY = (
+    1.3,
+    0.5,
+)  # of craft with surfaces: largest speed over the trimmed one, least over the largest
 HOLD = (4.0, 15.0)  # s, shortest and longest hold of a set-point
 STRAY = 1.0  # m, from where a craft that cannot move sideways turns to the place that it keeps
 TURN_ROUND = 2.0  # rad, bearing of that place from which it takes its other end
 PIVOT = 0.5  # rad, by which its end may be off while it goes there
+DIVE, STEEPEST = 5.0, 0.25  # s, in which an error of depth is made up for by pitch; the most of that [rad]
 LOST = 1.0  # rad, error of heading from where it is not steered
 
 
@@ -93,7 +99,8 @@ class Controller:
         self.allocate = np.linalg.pinv(vehicle.allocation[self.steered])
         self.inertia = np.diag(vehicle.rigid + vehicle.added)
         self.most = self.full / self.inertia  # accelerations of full thrust
-        self.bandwidth = np.clip(np.sqrt(self.most / LARGE), SLOWEST, FASTEST)
+        slowest = SLOWEST_OF_SHIPS if vehicle.gear.surfaces else SLOWEST
+        self.bandwidth = np.clip(np.sqrt(self.most / LARGE), slowest, FASTEST)
         self.keeps_place = steering == "station"
         horizontal = np.arange(6) < 2
         self.by_speed = self.steered & horizontal & (not self.keeps_place)
@@ -111,16 +118,25 @@ class Controller:
                 self.rates[:, i], self.bends[:, i] = x, rate
             else:
                 self.goals[:, i], self.rates[:, i], self.bends[:, i] = x, rate, bend
+        # A craft whose planes cannot lift it, but turn its bow.
+        self.by_pitch = bool(self.steered[4] and not self.steered[2] and vehicle.gear.surfaces)
+        if self.by_pitch:
+            self.goals[:, 4] = self.rates[:, 4] = self.bends[:, 4] = 0.0
+            self.depths = steps(samples, rng, lambda _: level * float(rng.uniform(-1.0, 1.0)))
 
     def set_points(self, i: int, level: float, samples: int, rng: np.random.Generator) -> Array:
         """Set-points of an axis: speeds, headings that go on from one another, places, depths or tilts."""
         largest, lowest = level * self.reach(i), ASTERN if i == 0 and self.by_speed[i] else -1.0
+        if self.by_speed[i] and self.vehicle.gear.surfaces:
+            lowest = UNDER_WAY
         goes_on = 1.0 if i == 5 else 0.0
         return steps(samples, rng, lambda now: goes_on * now + largest * float(rng.uniform(lowest, 1.0)))
 
     def reach(self, i: int) -> float:
         """Largest set-point of an axis: a speed, or a step that asks for no more than twice full thrust."""
         v = self.vehicle
+        if self.by_speed[i] and v.gear.surfaces:
+            return FAST * v.cruise
         if self.by_speed[i]:
             return steady_speed(v.linear[i, i], v.quadratic[i, i], CRUISE * self.full[i])
         if i in (3, 4):  # a craft that rights itself is tilted by a moment as long as the step lasts
@@ -139,6 +155,9 @@ class Controller:
         error[5] += self.heading
         if self.keeps_place:
             self.home(self.goals[k, :2] - pose[:2], pose[5], error)
+        if self.by_pitch:  # depth is held by the bow's way up or down
+            deeper = self.depths[k] - pose[2]
+            error[4] += float(np.clip(-deeper / self.vehicle.cruise / DIVE, -STEEPEST, STEEPEST))
         error[3:] = wrapped(error[3:])
         self.strayed += bool(self.steered[5] and abs(error[5]) > LOST)
         slow = self.rates[k] - velocity

@@ -135,5 +135,6 @@ def names(vehicle: Vehicle) -> list[str]:
         "cross_terms",
         "bank_force",
     ]
-    out += ["hysteresis", "drifting_gain"]
+    if not vehicle.gear.columns:  # whose columns hold more than what a thruster makes of them
+        out += ["hysteresis", "drifting_gain"]
     return ["depth_force", *out] if 2 in vehicle.free else out

@@ -14,6 +14,7 @@ or N m].
 
 import math
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import pairwise
@@ -157,7 +158,10 @@ class Model:
         hull, turning = np.zeros(4), np.zeros(2)
         weight_moment, buoyancy, cob = v.weight * v.cog, v.buoyancy, v.cob.copy()
         weight, point_buoyancy, point_moment = v.weight, 0.0, np.zeros(3)
-        self.lag, self.delay = v.lag.copy(), v.delay.copy()
+        self.gear = deepcopy(v.gear)
+        # Columns behind those of fixed thrusters.
+        self.lag = np.concatenate([v.lag, v.gear.servos("lag")])
+        self.delay = np.concatenate([v.delay, v.gear.servos("delay")])
         self.deadband, self.saturation = v.deadband.copy(), v.saturation.copy()
         self.column = np.arange(n)  # of each thruster, the column that holds its command
         self.gain, self.reverse, self.curve, self.inflow = np.ones(n), np.ones(n), v.curve.copy(), 0.0
@@ -166,7 +170,13 @@ class Model:
         self.tether, self.blown = 0.0, np.zeros(3)
         self.memory_row, self.memory_gain, self.memory_rate = 0, 0.0, 0.0
 
-        for e in self.effects:
+        filed = [
+            Effect(
+                e["effect"], e.get("target"), {k: x for k, x in e.items() if k not in ("effect", "target")}
+            )
+            for e in v.raw.get("effect", [])
+        ]
+        for e in (*filed, *self.effects):
             value = e.parameters.get("value", 0.0)
             row = DOFS.index(e.target) if e.target in DOFS else 0
             match e.effect:
@@ -214,7 +224,27 @@ class Model:
                 case "constant_wrench":
                     self.constant[row] += value
                 case "thruster_gain":
+                    for p in self.gear.propellers:
+                        p.gain *= e.parameters["factor"] if e.target in (p.name, "all") else 1.0
                     self.gain[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
+                case "surface_gain" | "surface_offset" | "surface_stuck":
+                    for one in self.gear.surfaces:
+                        if e.target not in (one.name, "all"):
+                            continue
+                        one.gain *= e.parameters.get("factor", 1.0)
+                        if e.effect == "surface_offset":
+                            one.offset += e.parameters["angle"]
+                        elif e.effect == "surface_stuck":
+                            one.stuck = e.parameters["angle"]
+                case "wake":
+                    for p in self.gear.propellers:
+                        p.wake += e.parameters["fraction"] if p.name == e.target else 0.0
+                case "cross_flow_drag":
+                    self.gear.add_strip_drag(e.parameters["coefficient"])
+                case "wind":
+                    self.gear.add_wind(e.parameters)
+                case "voltage":
+                    self.gear.exponent += e.parameters["exponent"]
                 case "reverse_thrust":
                     self.reverse[[e.target in (name, "all") for name in v.names]] *= e.parameters["factor"]
                 case "exchanged_thrusters":
@@ -223,7 +253,7 @@ class Model:
                 case "thrust_curve":
                     self.curve += e.parameters["quadratic"]
                 case "thruster_lag":
-                    self.lag += e.parameters["time_constant"]
+                    self.lag[: n + len(self.gear.propellers)] += e.parameters["time_constant"]
                 case "input_delay":
                     self.delay += e.parameters["delay"]
                 case "deadband":
@@ -251,17 +281,24 @@ class Model:
         self.hydrostatic[:3] = (weight - buoyancy - point_buoyancy) * np.eye(3)
         arm = weight_moment - buoyancy * cob - point_moment
         self.hydrostatic[3:] = np.cross(arm, np.eye(3)).T
-        self.allocation = v.allocation / v.max_thrust
+        self.allocation = v.pushes / v.max_thrust
+        self.rate = np.concatenate([np.full(n, np.inf), self.gear.servos("rate", np.inf)])
 
     def drive(self, commands: Array) -> Array:
-        """Steady thrust [N] of commands (..., columns, B): deadband, saturation, curve, gain."""
+        """Steady thrust [N] of commands (..., columns, B): deadband, saturation, curve, gain.
+
+        Behind that of fixed thrusters the state that each column of the gear asks for.
+        """
+        most = self.gear.limits()[:, None]
+        gear = np.clip(commands[..., len(self.column) :, :], -most, most)
         commands = commands[..., self.column, :]
         dead, limit, curve = self.deadband[:, None], self.saturation[:, None], self.curve[:, None]
         c = np.sign(commands) * np.maximum(np.abs(commands) - dead, 0.0)
         c = np.clip(c, -limit, limit)
         c = (1.0 - curve) * c + curve * c * np.abs(c)
         ahead, astern = self.vehicle.max_thrust, self.vehicle.max_thrust_reverse * self.reverse
-        return np.where(commands < 0.0, astern[:, None], ahead[:, None]) * self.gain[:, None] * c
+        thrust = np.where(commands < 0.0, astern[:, None], ahead[:, None]) * self.gain[:, None] * c
+        return np.concatenate([thrust, gear], axis=-2)
 
     def intervals(self, dt: float, step: float) -> list[tuple[float, float, Array]]:
         """Steps within a sample, none across a command change.
@@ -291,7 +328,7 @@ class Model:
         return float(np.abs(np.linalg.eigvals(self.inverse @ (linear + 2.0 * quadratic * speed))).max())
 
     def decay(self, h: float) -> Array:
-        """Share of a thrust deviation left after h [s], (thrusters, 1); none without lag."""
+        """Share of a thrust deviation left after h [s], (columns, 1); none without lag."""
         lag = np.where(self.lag > 0.0, self.lag, 1.0)
         return np.where(self.lag > 0.0, np.exp(-h / lag), 0.0)[:, None]
 
@@ -303,7 +340,7 @@ class Model:
         extra: Array | float,
         water: Array | None = None,
     ) -> Array:
-        """d/dt of the 13 state rows at t [s] under the thrusts [N] and a further wrench.
+        """d/dt of the 13 state rows at t [s] under the thrusts [N], the gear's states and a further wrench.
 
         `water`: its velocity beside the steady current (3, B), of an `afloat` model [m/s].
         """
@@ -328,6 +365,10 @@ class Model:
         size = np.abs(through)
         products = through[LEFT] * through[RIGHT]
         water = np.concatenate([through, size * through, products, size[0] * through[DRIFT]])
+        state, thrust = thrust[len(self.column) :], thrust[: len(self.column)]
+        if len(state):
+            thrust = self.gear.supplied(thrust, state)
+            force = force + self.gear.wrench(state, thrust, nu, through, r)
         if self.inflow:
             thrust = thrust * (1.0 - self.inflow * np.abs(self.vehicle.direction @ through[:3]))
         force = force + self.allocation @ thrust + self.water_form @ water
@@ -412,6 +453,7 @@ def simulate(
         steps_of = cache(partial(model.steps, dt))
         alive = model.decay(0.0)
         lagging = bool(alive.any())
+        limited = np.isfinite(model.rate)[:, None]
         for k in range(first, last):
             extra, water = (0.0, None) if disturbance is None else disturbance.at(lead + k, s[3:6])
             if steer is not None:
@@ -426,6 +468,15 @@ def simulate(
                 if lagging:
                     away = thrust - target
                     f0, fm, f1 = target + alive * away, target + half * away, target + whole * away
+                if limited.any():
+                    # By the limited rate first, by the lag where that is slower.
+                    most = model.rate[:, None]
+                    steer_by = np.clip(target - thrust, -most * h, most * h)
+                    f0 = np.where(limited, thrust, f0)
+                    fm = np.where(
+                        limited, thrust + np.clip(target - thrust, -0.5 * most * h, 0.5 * most * h), fm
+                    )
+                    f1 = np.where(limited, thrust + steer_by, f1)
                 a = model.derivative(t, s, f0, extra, water)
                 if number == 0:
                     states[k] = s
@@ -444,12 +495,13 @@ def thrust_states(model: Model, commands: Array) -> Array:
     each = np.arange(commands.shape[1])
     now = np.zeros(commands.shape[1:])
     out = np.empty_like(drive)
-    steps = [(shift, model.decay(h)) for _, h, shift in model.intervals(0.1, 0.1)]
+    steps = [(h, shift, model.decay(h)) for _, h, shift in model.intervals(0.1, 0.1)]
     for k in range(len(commands)):
         out[k] = now
-        for shift, left in steps:
+        for length, shift, left in steps:
             target = drive[np.maximum(k + shift, 0), each]
-            now = target + left * (now - target)
+            most = model.rate[:, None] * length
+            now = np.clip(target + left * (now - target), now - most, now + most)
     return out
 
 

@@ -2,19 +2,20 @@
 
 import tomllib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+from .gear import TRIM, Array, Gear
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 POSE = ("x", "y", "z", "phi", "theta", "psi")
 VELOCITY = ("u", "v", "w", "p", "q", "r")
 ACCELERATION = ("du", "dv", "dw", "dp", "dq", "dr")
 FOLDER = Path(__file__).parent / "vehicles"
+GEARED = Path(__file__).parent / "geared"  # those with propellers, surfaces or thrusters that turn
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Vehicle:
     - `names`, `position` [m], `direction`, `max_thrust` and `max_thrust_reverse` [N], `curve` [1]
       (the file's `quadratic`), `lag` [s], `delay` [s], `deadband`, `saturation` [command]: one row per
       thruster.
+    - `gear`: what drives it beside those.
     - `noise`: standard deviation of pose, velocity and acceleration, 18 numbers.
     - `raw`: the file's own tables.
     """
@@ -53,14 +55,79 @@ class Vehicle:
     delay: Array
     deadband: Array
     saturation: Array
+    gear: Gear
     noise: Array
     raw: dict[str, Any]
 
     @property
-    def allocation(self) -> Array:
+    def steered(self) -> tuple[str, ...]:
+        """Columns of a log that a stick or a controller moves."""
+        return (*self.names, *self.gear.steered)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns that drive it."""
+        return (*self.names, *self.gear.columns)
+
+    @property
+    def places(self) -> Array:
+        """Where all that drives it acts, a row each [m]."""
+        gear = [one.position for one in (*self.gear.propellers, *self.gear.surfaces)]
+        return np.vstack([self.position, *gear])
+
+    @property
+    def pushes(self) -> Array:
         """Wrench at o of full thrust ahead, one column per thruster [N, N m]: (d, r x d) T_max."""
         moment = np.cross(self.position, self.direction)
         return np.vstack([self.direction.T, moment.T]) * self.max_thrust
+
+    @cached_property
+    def allocation(self) -> Array:
+        """What a demand of 1 gives beside the trim, one column per steered one [N, N m].
+
+        Of thrusters their full thrust; of gear by the steady run of a trimmed craft, as a rudder gives
+        nothing at rest.
+        """
+        if not self.gear.steered:
+            return self.pushes
+        speed = self.cruise
+        nu = np.zeros((6, 1))
+        nu[0] = speed
+        thrust = (TRIM * self.max_thrust)[:, None]
+        trim = self.gear.trim()
+
+        def wrench(demand: Array) -> Array:
+            return self.gear.wrench(self.gear.asked(demand)[:, None], thrust, nu, nu, np.eye(3)[:, :, None])[
+                :, 0
+            ]
+
+        level = wrench(trim)
+        of_gear = [wrench(trim + 0.3 * one) - level for one in np.eye(len(trim))]
+        return np.column_stack([self.pushes, *(column / 0.3 for column in of_gear)])
+
+    @cached_property
+    def cruise(self) -> float:
+        """Steady speed ahead of a trimmed craft [m/s], by halving."""
+        low, high = 0.0, 20.0
+        state = self.gear.asked(self.gear.trim())[:, None]
+        for _ in range(50):
+            u = 0.5 * (low + high)
+            nu = np.array([[u], [0], [0], [0], [0], [0]], float)
+            thrust = (TRIM * self.max_thrust)[:, None]
+            force = self.gear.wrench(state, thrust, nu, nu, np.eye(3)[:, :, None])[0, 0]
+            force += TRIM * self.pushes[0].sum() - (self.linear[0, 0] + self.quadratic[0, 0] * u) * u
+            low, high = (u, high) if force > 0.0 else (low, u)
+        return low
+
+    def asked(self, demand: Array, given: Array) -> Array:
+        """Columns of a log (K, columns) of what sticks ask for (K, steered) and the surroundings give."""
+        n = len(self.names)
+        trimmed = demand[:, n:] + self.gear.trim()
+        if self.gear.swivels:
+            demand = demand + TRIM * np.isin(np.arange(demand.shape[1]), [i for i, *_ in self.gear.swivels])
+        thrusters = np.clip(demand[:, :n], -1.0, 1.0)
+        gear = np.array([self.gear.asked(one) for one in trimmed]).reshape(len(demand), -1)
+        return np.hstack([thrusters, gear[:, : len(self.gear.steered)], given]).round(6)
 
     def signals(self) -> list[tuple[str, int]]:
         """Logged channels of the free degrees of freedom: name and row among the 18 signals."""
@@ -92,7 +159,7 @@ def from_tables(raw: dict[str, Any]) -> Vehicle:
     mass, cog = body["mass"], np.array(body.get("cog", np.zeros(3)), float)
     weight = body.get("weight", mass * gravity)
     rigid = body.get("mass_matrix")
-    thrusters = raw["thruster"]
+    thrusters = raw.get("thruster", [])
     sensors = raw["sensors"]
     kinds = ("position", "attitude", "velocity", "rate", "acceleration", "angular_acceleration")
 
@@ -113,8 +180,8 @@ def from_tables(raw: dict[str, Any]) -> Vehicle:
         weight=weight,
         buoyancy=body.get("buoyancy", weight),
         names=tuple(t["name"] for t in thrusters),
-        position=np.array([t["position"] for t in thrusters], float),
-        direction=np.array([t["direction"] for t in thrusters], float),
+        position=np.array([t["position"] for t in thrusters], float).reshape(-1, 3),
+        direction=np.array([t["direction"] for t in thrusters], float).reshape(-1, 3),
         max_thrust=per_thruster("max_thrust"),
         max_thrust_reverse=np.array([t.get("max_thrust_reverse", t["max_thrust"]) for t in thrusters], float),
         curve=per_thruster("quadratic"),
@@ -122,15 +189,18 @@ def from_tables(raw: dict[str, Any]) -> Vehicle:
         delay=per_thruster("delay"),
         deadband=per_thruster("deadband"),
         saturation=per_thruster("saturation", 1.0),
+        gear=Gear.of(raw),
         noise=np.repeat([sensors[k] for k in kinds], 3).astype(float),
         raw=raw,
     )
 
 
 def load(path: Path | str) -> Vehicle:
-    """Reads a vehicle file; a bare name means one of this folder's `vehicles`."""
+    """Reads a vehicle file; a bare name means one of this folder's `vehicles`, or one that is `geared`."""
     path = Path(path)
-    path = path if path.suffix else FOLDER / f"{path}.toml"
+    if not path.suffix:
+        own = FOLDER / f"{path}.toml"
+        path = own if own.exists() else GEARED / f"{path}.toml"
     return from_tables(tomllib.loads(path.read_text()))
 
 

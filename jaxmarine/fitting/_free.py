@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from .._errors import InputError
 from .._types import DOFS, Matrix6
+from ..effects import HullLift, TurningLift
 from ..vehicle import Plant, Vehicle
 
 Selection = Literal["all", "nonzero", "diagonal", "coupled"]
@@ -32,8 +33,14 @@ _SOFT, _NOTHING = 0.02, 0.01
 # Of each axis the group within which a hull that is alike on port and starboard couples: surge, heave and
 # pitch; sway, roll and yaw. Source: Fossen (2021), sec. 6.3 (symmetry of the added mass).
 _COUPLED = (0, 1, 0, 1, 0, 1)
-# Leaves of numbers that are positive by what they are.
+# Leaves of numbers that are positive by what they are: thrusts, and of actuators the thrust at rest (the
+# first number of `kt` and of `kt_reverse`), the lift of a surface and drag across the flow.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
+_OF_ACTUATORS = ("kt", "kt_reverse", "lift_slope", "coefficient")
+# Of a hull's lift, the power of its length that makes a mass the parameter.
+_LIFTS = {"Y_uv": -1, "Z_uw": -1, "N_uv": 0, "M_uw": 0, "Y_ur": 0, "N_ur": 1}
+# Share of its typical size at which damping on a diagonal begins that is zero in the file: no log shows it.
+_NEAR_NOTHING = 1e-3
 # A dissipative matrix starts with at least this share of its size in every direction, because its
 # factor has no slope at zero.
 _FLOOR = 1e-2
@@ -78,11 +85,13 @@ class Magnitudes(AbstractPart):
     are.
 
     A thrust does not turn round, and damping on a diagonal brakes. `base` holds what is not free; `places`:
-    of the free entries in the flat leaf; `positive`: which of them go by their logarithm.
+    of the free entries in the flat leaf; `positive`: which of them go by their logarithm. `soft`: where it is
+    not zero, an entry begins there and fades out to zero instead of becoming negative.
     """
 
     start: Float[Array, " own"]
     base: Array
+    soft: Float[Array, " own"]
     names: tuple[str, ...] = eqx.field(static=True)
     places: tuple[int, ...] = eqx.field(static=True)
     positive: tuple[bool, ...] = eqx.field(static=True)
@@ -92,8 +101,9 @@ class Magnitudes(AbstractPart):
         return flat.reshape(self.base.shape)
 
     def entries(self, raw: Float[Array, " own"]) -> Float[Array, " own"]:
-        positive = np.array(self.positive, bool)
-        return jnp.where(positive, jnp.exp(jnp.where(positive, raw, 0.0)), raw)
+        positive, fades = np.array(self.positive, bool), self.soft > 0.0
+        own = jnp.where(fades, _faded(raw, jnp.where(fades, self.soft, 1.0)), raw)
+        return jnp.where(positive, jnp.exp(jnp.where(positive, raw, 0.0)), own)
 
 
 def _faded(raw: Array, soft: Array) -> Array:
@@ -282,13 +292,18 @@ def set_free(
             part = make(vehicle, name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif name in _THRUSTS and relative:
+        elif relative and _is_positive(name):
             if name == "thrusters.max_thrust_reverse":
                 # Where the file states none it is fitted by itself from there on.
                 leaf = vehicle.thrusters.reverse
             flat, labels = np.arange(leaf.size), _labels(vehicle, name, np.asarray(leaf))
-            part = _magnitudes(np.asarray(leaf), flat, labels, np.ones(len(flat), bool))
-            size = np.asarray(leaf)
+            # Of thrust over the advance the first number alone has a sign of its own.
+            may = flat % leaf.shape[-1] == 0 if leaf.ndim > 1 else np.ones(len(flat), bool)
+            part = _magnitudes(np.asarray(leaf), flat, labels, may, np.zeros(len(flat)))
+            size = np.abs(np.asarray(leaf).reshape(leaf.shape[0], -1))
+            # One that is zero may be as large as the others of its curve.
+            size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()
+            size = np.where(size > 0, size, 1.0)
         else:
             if name == "thrusters.max_thrust_reverse":
                 leaf = np.where(held, leaf, vehicle.thrusters.reverse)
@@ -297,9 +312,18 @@ def set_free(
             value = np.abs(np.asarray(leaf).ravel()[flat])
             size = np.where(value > 0, value, 1.0)
         width = float(prior) * size if isinstance(prior, float | int) else std.ravel()[flat]
+        sure = np.full(len(size), not name.startswith("placed"))
+        if relative and isinstance(part, Magnitudes):
+            # What fades begins where its slope is a half.
+            width = np.where(np.asarray(part.soft) > 0.0, 0.5 * width, width)
         if relative and name.startswith("placed") and _of_target(vehicle, path)[0] is not None:
-            # An effect that changes nothing yet may be of any size; weights of a network may not.
-            width = np.where(np.asarray(part.start) == 0.0, np.inf, width)
+            nothing, typical = np.asarray(part.start) == 0.0, _typical(vehicle, path)
+            if typical is not None:
+                size = np.where(nothing, typical, size)
+                width, sure = float(prior) * size, np.full(len(size), True)
+            else:
+                # An effect that changes nothing yet may be of any size; weights of a network may not.
+                width = np.where(nothing, np.inf, width)
         if (width == 0).any():
             raise ValueError(
                 f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "
@@ -308,11 +332,29 @@ def set_free(
         parts.append(part)
         sizes.append(size)
         widths.append(width)
-        known.append(np.full(len(size), not name.startswith("placed")))
+        known.append(sure)
     if not sum(part.start.size for part in parts):
         raise ValueError("Argument `free` leaves nothing free on the axes that can move.")
     scales = Scales(*map(np.concatenate, (sizes, widths, known)))
     return Freed(vehicle, tuple(parts), tuple(places)), scales
+
+
+def _is_positive(name: str) -> bool:
+    """Whether a leaf holds what is positive by what it is."""
+    return name in _THRUSTS or (name.startswith("actuators[") and name.split("].", 1)[1] in _OF_ACTUATORS)
+
+
+def _typical(vehicle: Vehicle, path) -> float | None:
+    """How large a parameter of an effect commonly is on a craft of this mass and length, if that is known.
+
+    Of a hull's lift the mass times the power of the length that its unit asks for, the length being four
+    radii of gyration, as of ships: those of KVLCC2 are 0.1 to 0.4 of that, those of small boats about 1.
+    """
+    power = _LIFTS.get(path[-1].name)
+    if power is None or not isinstance(vehicle.placed[path[1].idx].effect, HullLift | TurningLift):
+        return None
+    mass, inertia = float(vehicle.body.mass), np.diag(np.asarray(vehicle.body.matrix))[3:]
+    return mass * (4.0 * np.sqrt(inertia.max() / mass)) ** power
 
 
 class _Mark:
@@ -507,10 +549,11 @@ def _plain(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> E
 
 
 def _braking(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Magnitudes:
-    del vehicle
     rows, columns = np.nonzero(mask)
     names = [_entry(name, int(i), int(j), "<-") for i, j in zip(rows, columns, strict=True)]
-    return _magnitudes(leaf, 6 * rows + columns, names, rows == columns)
+    places = 6 * rows + columns
+    soft = _NEAR_NOTHING * _damping_size(vehicle, leaf).ravel()[places]
+    return _magnitudes(leaf, places, names, rows == columns, soft)
 
 
 def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndarray) -> Entries:
@@ -523,13 +566,19 @@ def _any_leaf(vehicle: Vehicle, path, name: str, leaf: np.ndarray, held: np.ndar
     return _entries(leaf, [groups[k] for k in kept], [names[k] for k in kept])
 
 
-def _magnitudes(leaf: np.ndarray, places: np.ndarray, names: Sequence[str], may: np.ndarray) -> Magnitudes:
-    """Of the flat `places` of a leaf; `may`: whether an entry keeps its sign where it is positive."""
+def _magnitudes(
+    leaf: np.ndarray, places: np.ndarray, names: Sequence[str], may: np.ndarray, soft: np.ndarray
+) -> Magnitudes:
+    """Of the flat `places` of a leaf; `may`: whether an entry keeps its sign where it is positive.
+
+    - `soft`: where such an entry begins that is zero; 0: it is left as it is.
+    """
     value = leaf.ravel()[places].astype(float)
     positive = may & (value > 0)
     return Magnitudes(
         start=jnp.asarray(np.where(positive, np.log(np.where(positive, value, 1.0)), value)),
         base=jnp.asarray(leaf),
+        soft=jnp.asarray(np.where(may & (value == 0), soft, 0.0)),
         names=tuple(names),
         places=tuple(places.tolist()),
         positive=tuple(positive.tolist()),

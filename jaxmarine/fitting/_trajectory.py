@@ -35,6 +35,9 @@ _SHORTEST, _FEWEST = 0.5, 16
 # Steps of each but the last, and the share of the cost that one must promise: the next has other weights. The
 # last ends where a step promises nothing any more.
 _ROUGH_STEPS, ROUGH, FINE = 12, 1e-3, 1e-9
+# A solve that damping has slowed in a curved valley ends where a damped step promises nothing, though one
+# without promises more than this (half a chi-square): it begins anew with little damping, so often at most.
+_PROMISES, _ANEW = 0.05, 8
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
 _FINEST = 10
 
@@ -140,6 +143,11 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
         how = (max_steps, FINE) if last else (min(_ROUGH_STEPS, max_steps), ROUGH)
         refined = refine_windows(weighed, z, delta, *how)
         steps += int(refined.steps)
+        for _ in range(_ANEW if last else 0):
+            if not (refined.converged and _promise(weighed, refined) > _PROMISES):
+                break
+            refined = refine_windows(weighed, refined.z, refined.delta, *how)
+            steps += int(refined.steps)
         z, delta = refined.z, refined.delta
         used = own * (np.asarray(weighed.problem.windows.weight) > 0)
         residual = np.asarray(predict(task.weighed(used).problem, task.affine(z), delta)[1])
@@ -149,6 +157,16 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
         # Whoever allows few steps does not want them spent on weights.
         last = settled(before, factor) or steps >= max_steps
     return _Solved(weighed, refined, factor, steps, np.where(used > 0, residual, np.nan))
+
+
+def _promise(task: Task, refined: Refined) -> float:
+    """Half the chi-square that one more step without damping promises."""
+    _, scores, information = refined.stats.reduced()
+    slope = np.asarray(scores).sum(0) + np.asarray(task.precision) * np.asarray(refined.z)
+    curvature = np.asarray(information).sum(0) + np.diag(np.asarray(task.precision))
+    if not np.isfinite(curvature).all():
+        return 0.0
+    return 0.5 * float(slope @ np.linalg.lstsq(curvature, slope)[0])
 
 
 def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:

@@ -34,8 +34,12 @@ _NOISY = 0.5
 # Edges of a dropout stand out by so many usual changes (all but a hundredth are smaller); a vehicle may
 # answer a command by such an edge within so many seconds.
 _EDGE, _ANSWERS = 2.0, 2.0
-# More than these shares of a channel are no accident, and are left as they are.
-_MOST_SPIKES, _MOST_DROPOUTS = 0.02, 0.2
+# More than these shares of a channel are no accident, and are left as they are; a sensor whose noise stands
+# still for long is not measuring, however often it does that, unless that is most of what there is.
+_MOST_SPIKES, _MOST_DROPOUTS, _MOST_FROZEN = 0.02, 0.2, 0.6
+# Commands that change with more than this share of the samples are measured ones, or the wind: they tell of
+# no moment at which something new was commanded.
+_COMMANDED = 0.5
 
 # Second differences of white noise have a standard deviation of sqrt(6), and the median of its size is this
 # much below the standard deviation.
@@ -54,16 +58,20 @@ def clean(log: Log) -> Log:
     - A *dropout* is a value that is held where samples otherwise hardly ever repeat. What was measured last
       stays; a value that was never measured, such as zero, goes.
 
-    Up to 2 % of a channel's samples are taken for spikes and 20 % for dropouts. Where more look like it,
-    the channel is left alone and the note says so. Cleaning again changes nothing.
+    Up to 2 % of a channel's samples are taken for spikes and 20 % for dropouts, 60 % where a noisy sensor
+    holds its values for ten samples and more. Where more look like it, the channel is left alone and the note
+    says so. Cleaning again changes nothing.
     """
     jumps = command_jumps(log)
+    if len(jumps) > _COMMANDED * len(log.t):
+        jumps = jumps[:0]
     channels, notes = _without_repeats(log)
     for index, name in enumerate(CHANNELS):
         values = channels[:, index].copy()
-        spikes, dropouts = _defects(log.t, values, name, jumps)
+        spikes, dropouts, frozen = _defects(log.t, values, name, jumps)
         count = int(np.isfinite(values).sum())
-        found = {"spikes": (spikes, _MOST_SPIKES), "dropouts": (dropouts, _MOST_DROPOUTS)}
+        most = _MOST_FROZEN if frozen else _MOST_DROPOUTS
+        found = {"spikes": (spikes, _MOST_SPIKES), "dropouts": (dropouts, most)}
         found = {kind: one for kind, one in found.items() if one[0].any()}
         many = [kind for kind, (where, most) in found.items() if np.count_nonzero(where) > most * count]
         for kind, (where, _) in found.items():
@@ -187,8 +195,8 @@ def _defects(
     values: Float[np.ndarray, " times"],
     name: str,
     jumps: Float[np.ndarray, " jumps"],
-) -> tuple[Bool[np.ndarray, " times"], Bool[np.ndarray, " times"]]:
-    """Which samples of a channel are spikes, and which dropouts.
+) -> tuple[Bool[np.ndarray, " times"], Bool[np.ndarray, " times"], bool]:
+    """Which samples of a channel are spikes, which dropouts, and whether those are mostly long ones of noise.
 
     By turns, until neither shows any more: a spike beside a dropout is seen once that has gone, and what is
     found does not hang on which is looked for first.
@@ -199,14 +207,31 @@ def _defects(
     while True:
         seen = np.flatnonzero(np.isfinite(left))
         if len(seen) < _FEWEST:
-            return spikes, dropouts
+            break
         held = seen[_dropouts(t[seen], left[seen], is_angle, jumps)]
         peaks = seen[_spikes(t[seen], left[seen], is_angle, jumping)]
         if not len(held) and not len(peaks):
-            return spikes, dropouts
+            break
         dropouts[held] = True
         spikes[np.setdiff1d(peaks, held)] = True
         left[held] = left[peaks] = np.nan
+    return spikes, dropouts, _is_frozen(values, left, dropouts, is_angle)
+
+
+def _is_frozen(values: np.ndarray, left: np.ndarray, dropouts: np.ndarray, is_angle: bool) -> bool:
+    """Whether most of what is held is held for long, by a sensor that shows noise where it measures."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], dropouts.astype(int), [0]])))
+    length = edges[1::2] - edges[::2]
+    return bool(
+        length[length >= _HELD_FOR_SURE - 1].sum() > 0.5 * length.sum()
+        and _is_noisy(_changes(left[np.isfinite(left)], is_angle), 1e-9 * np.ptp(values[np.isfinite(values)]))
+    )
+
+
+def _is_noisy(changes: np.ndarray, digits: float) -> bool:
+    moving = np.abs(changes) > digits
+    bends = np.diff(changes)[moving[1:] & moving[:-1]]
+    return bool(len(bends) > 1 and np.mean(bends[1:] * bends[:-1] < 0) > _NOISY)
 
 
 def _changes(values: np.ndarray, is_angle: bool) -> np.ndarray:
@@ -231,8 +256,7 @@ def _dropouts(
     if not long.any() or len(first) == 1 or other < _FEWEST or (length[~long] - 1).sum() > _REPEATS * other:
         return np.zeros(0, int)
     moving = np.abs(changes) > digits
-    bends = np.diff(changes)[moving[1:] & moving[:-1]]
-    noisy = np.mean(bends[1:] * bends[:-1] < 0) > _NOISY
+    noisy = _is_noisy(changes, digits)
     edges = np.append(False, np.abs(changes) > _EDGE * np.quantile(np.abs(changes[moving]), 0.99))
     # A vehicle without noise holds its values too, at rest or in steady motion, until a command moves it.
     commanded = np.searchsorted(jumps, t) > np.searchsorted(jumps, t - _ANSWERS)
