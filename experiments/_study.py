@@ -1,10 +1,8 @@
 """What the studies share: how they begin, what they write, and effects of their own."""
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +13,7 @@ import numpy as np
 from statsmodels.stats.proportion import proportion_confint
 from threadpoolctl import threadpool_limits
 
-import jaxmarine as jm
+from jaxmarine._program import program as program
 from jaxmarine.effects import Craft, Suspect, WrenchEffect
 
 
@@ -49,16 +47,6 @@ def study(out: Path, quick: bool) -> Iterator[None]:
             yield
     finally:
         jax.config.update("jax_disable_most_optimizations", before)
-
-
-def program(package: Path = Path(jm.__file__).parent) -> str:
-    """Which program it is that answers: the version, and 12 hex digits of the SHA-256 of its sources.
-
-    - `package`: folder of the sources, which are taken in the order of their paths.
-    """
-    sources = sorted(package.rglob("*.py"), key=lambda path: path.relative_to(package).as_posix())
-    whole = b"".join(path.read_bytes() for path in sources)
-    return f"{version(jm.__name__)} {hashlib.sha256(whole).hexdigest()[:12]}"
 
 
 def write_results(out: Path, results: dict[str, Any], text: str) -> None:

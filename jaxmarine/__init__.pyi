@@ -2,6 +2,7 @@ from . import control as control
 from . import diagnosis as diagnosis
 from . import effects as effects
 from . import fitting as fitting
+from . import fleets as fleets
 from . import logs as logs
 from . import networks as networks
 from . import physics as physics
@@ -41,6 +42,8 @@ from .fitting import (
 from .fitting import (
     levenberg_marquardt as levenberg_marquardt,
 )
+from .fleets import Fleet as Fleet
+from .fleets import fleet as fleet
 from .logs import Log as Log
 from .logs import read_columns as read_columns
 from .logs import read_log as read_log

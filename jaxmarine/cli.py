@@ -26,6 +26,7 @@ from rich.text import Text
 
 from ._errors import InputError
 from ._progress import FOUND, Estimate
+from ._start import prepare
 
 Result = TypeVar("Result")
 
@@ -33,7 +34,7 @@ _STOPPED = 130
 
 
 class _Stopped(BaseException):
-    """Ctrl-C while work goes on beside the main thread: what was found until then."""
+    """Ctrl-C while work goes on beside the main thread: what is left of it, in words."""
 
 
 _FIRST_TIME = "the first time for a vehicle, programs are compiled for about a minute"
@@ -61,20 +62,6 @@ ColumnsOption = Annotated[
     Path | None,
     typer.Option("--columns", help="Column map: where the recording keeps each column (TOML)."),
 ]
-
-
-def _prepare() -> None:
-    """Double precision, and compiled programs kept in the user's cache folder between runs."""
-    # The compiler warns of its own slowness after two minutes, in words that look like a failure.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "jaxmarine"
-        jax.config.update("jax_compilation_cache_dir", str(home))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 @contextmanager
@@ -156,39 +143,22 @@ def diagnose(
     ] = None,
 ) -> None:
     """Shows what the vehicle file gets wrong on its logs, names the cause, and measures the gain."""
-    _prepare()
+    prepare()
     from .diagnosis import diagnose as run
+    from .logs import read_logs
     from .vehicle_io import load_vehicle
 
     _folder(out, make=False)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
-    logs = _read(train, craft, columns_map)
-    held_out = _read(test, craft, columns_map)
+    logs = read_logs(train, craft, columns_map)
+    held_out = read_logs(test, craft, columns_map)
     _note(*logs, *held_out)
     with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
         result = _stoppable(
             lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell, _import_reports
         )
     _write(result, out, said=_notes(*logs, *held_out))
-
-
-def _read(paths: Sequence[Path], craft, columns) -> list:
-    """The logs; of several one that cannot be used is left out, and a note says which and why."""
-    from dataclasses import replace
-
-    from .logs import read_log
-
-    logs, wrong = [], []
-    for path in paths:
-        try:
-            logs.append(read_log(path, craft, columns))
-        except InputError as error:
-            wrong.append(error)
-    if not logs:
-        raise wrong[0]
-    logs[0] = replace(logs[0], notes=(*(f"Left out: {error}" for error in wrong), *logs[0].notes))
-    return logs
 
 
 def _import_reports() -> None:
@@ -200,6 +170,7 @@ def _stoppable(
     work: Callable[[Callable[[str], None]], Result],
     tell: Callable[[str], None],
     meanwhile: Callable[[], None] = lambda: None,
+    left: str = "nothing was written.",
 ) -> Result:
     """The result of long work, done beside the main thread: Ctrl-C ends the program at once.
 
@@ -220,7 +191,8 @@ def _stoppable(
             wait([future], timeout=0.2)
         return future.result()
     except KeyboardInterrupt:
-        raise _Stopped(f" Found so far, not settled: {', '.join(found)}." if found else "") from None
+        so_far = f" Found so far, not settled: {', '.join(found)}." if found else ""
+        raise _Stopped(left + so_far) from None
 
 
 def _folder(out: Path, make: bool = True) -> None:
@@ -333,6 +305,53 @@ def _ratio(error) -> str:
     return "-" if error.ratio is None else f"{error.ratio:.3f}"
 
 
+@app.command(epilog="Example: `jaxmarine fleet --out trials trials.csv`")
+def fleet(
+    table: Annotated[
+        str,
+        typer.Argument(
+            help="Table of logs (CSV or Parquet, path or URL) with columns vehicle, train, test and, if you "
+            "like, name, craft, date; train and test are paths or globs, separated by `;`.",
+            metavar="TABLE",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for fleet.parquet, index.html and a report per log.")
+    ] = Path("fleet"),
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", help="Address of a dask.distributed scheduler, whose workers do it."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes on this machine; default one per core.")
+    ] = None,
+    limit: Annotated[
+        float, typer.Option("--limit", min=1.0, help="Longest time of one log [s]; then it is given up.")
+    ] = 3600.0,
+) -> None:
+    """Diagnoses every log of a table on many cores or machines; started again, it goes on."""
+    prepare()
+    from .fleets import fleet as run
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers: a scheduler has workers of its own; give one of the two.")
+    _folder(out, make=False)
+    with _progress(f"diagnosing; {_FIRST_TIME}") as tell:
+        result = _stoppable(
+            lambda tell: run(table, out, scheduler=scheduler, workers=workers, limit=limit, progress=tell),
+            tell,
+            left=f"what was done stands in {out}, and the same command goes on with it.",
+        )
+    count = result.verdicts
+    told = ", ".join(f"{count[one]} {one.replace('_', ' ')}" for one in sorted(count) if one != "error")
+    _say(f"{count.total()} logs" + (f": {told}" if told else ""))
+    if count["error"]:
+        _say(f"  {count['error']} could not be used; the table and the page say why")
+    _say(f"Table: {out / 'fleet.parquet'}")
+    _say(f"Page: {result.page}")
+
+
 @app.command(epilog="Example: `jaxmarine simulate --vehicle rov.toml --log dive.csv --out simulated.csv`")
 def simulate(
     vehicle: VehicleOption,
@@ -346,7 +365,7 @@ def simulate(
     columns: ColumnsOption = None,
 ) -> None:
     """Simulates the vehicle under the commands of a log, from the log's first state."""
-    _prepare()
+    prepare()
     import dataclasses
 
     import numpy as np
@@ -433,9 +452,10 @@ def fit(
         )
     if prior is not None and not prior > 0:
         raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
-    _prepare()
+    prepare()
     from .effects import CATALOGUE
     from .fitting import fit as run
+    from .logs import read_logs
     from .vehicle_io import load_vehicle, save_vehicle, with_effect
 
     effects = {effect.name for effect in CATALOGUE}
@@ -465,7 +485,7 @@ def fit(
             craft, which = with_effect(craft, name)
             chosen.append(lambda v, which=which: v.placed[which].effect)
     columns_map = _columns(columns)
-    logs = _read(train, craft, columns_map)
+    logs = read_logs(train, craft, columns_map)
     _note(*logs)
     with _progress(f"fitting; {_FIRST_TIME}") as tell:
         result = _stoppable(
@@ -498,14 +518,15 @@ def check(
     columns: ColumnsOption = None,
 ) -> None:
     """Says how well logs excite each axis, which coefficients they determine, and what to log next."""
-    _prepare()
+    prepare()
     from .fitting import check as run
     from .fitting import disagreement, noise_of
+    from .logs import read_logs
     from .vehicle_io import load_vehicle
 
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
-    recorded = _read(logs, craft, columns_map)
+    recorded = read_logs(logs, craft, columns_map)
     _note(*recorded)
     with _progress("checking") as tell:
         result = _stoppable(lambda _: run(craft, recorded), tell)
@@ -542,7 +563,7 @@ def plan(
     radius: Annotated[float, typer.Option("--radius", help="Largest distance from the start [m].")] = 15.0,
 ) -> None:
     """Proposes the commands that would tell causes apart which a log could not, in a box of safe states."""
-    _prepare()
+    prepare()
     from .diagnosis import Box
     from .diagnosis import plan as run
     from .logs import write_log
@@ -585,7 +606,7 @@ def demo(
     ] = Kind.ROV,
 ) -> None:
     """Makes a log of a packaged craft with something hidden in it, and finds it."""
-    _prepare()
+    prepare()
     from .diagnosis import diagnose as run
     from .examples import DEMOS
     from .logs import write_log
@@ -614,7 +635,7 @@ def main() -> None:
         print(error, file=sys.stderr)
         sys.exit(2)
     except _Stopped as stopped:
-        print(f"Stopped; nothing was written.{stopped}", file=sys.stderr, flush=True)
+        print(f"Stopped; {stopped}", file=sys.stderr, flush=True)
         # The thread that works would be waited for.
         os._exit(_STOPPED)
     except SystemExit as end:

@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.benchmarks import _forms, levenberg_marquardt, precision
+from experiments.benchmarks import _forms, fleet, levenberg_marquardt, precision
 from experiments.benchmarks._rounds import (
     Missing,
     Table,
@@ -234,6 +234,14 @@ def test_what_grows_is_drawn_and_right(tmp_path):
         assert max(point["difference"] for point in curve["points"]) < limit
         assert set(curve["exponents"]) == {"time", "memory"}
     assert (tmp_path / "growth.svg").exists()
+
+
+def test_on_paper_a_fleet_is_as_fast_as_what_holds_it_up():
+    one, hundred, many = fleet.on_paper(cpu=10.0, task=0.01, size=1e6)
+    assert (one["held_by"], one["logs_per_second"]) == ("cores", pytest.approx(0.1))
+    assert (hundred["held_by"], hundred["logs_per_second"]) == ("cores", pytest.approx(10.0))
+    # A hundred tasks a second, where the network would give 125 logs and the cores a thousand.
+    assert (many["held_by"], many["logs_per_second"]) == ("scheduler", pytest.approx(100.0))
 
 
 def test_without_a_compiler_c_is_skipped(monkeypatch):

@@ -29,7 +29,7 @@ from jaxmarine.vehicle_io import cause_named
 
 from .shell import exit_code
 
-COMMANDS = ("diagnose", "simulate", "fit", "check", "plan", "demo")
+COMMANDS = ("diagnose", "fleet", "simulate", "fit", "check", "plan", "demo")
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_shell_sees_one_sentence_and_exit_code_2(tmp_path):
 def test_compiled_programs_are_kept_in_the_users_cache(tmp_path):
     """In a process of its own, since the setting is read when JAX compiles first."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("JAX_COMPILATION")}
-    code = "from jaxmarine.cli import _prepare; _prepare(); import jax; jax.jit(lambda x: x + 1)(1.0)"
+    code = "from jaxmarine._start import prepare; prepare(); import jax; jax.jit(lambda x: x + 1)(1.0)"
     done = subprocess.run(
         [sys.executable, "-c", code], env=kept | {"XDG_CACHE_HOME": str(tmp_path)}, timeout=300
     )
@@ -451,7 +451,7 @@ def test_what_was_found_before_a_stop_is_said(request):
         _thread.interrupt_main()
         stop.wait(10.0)
 
-    with pytest.raises(_Stopped, match=r"^ Found so far, not settled: thruster_lag\.$"):
+    with pytest.raises(_Stopped, match=r"^nothing was written\. Found so far, not settled: thruster_lag\.$"):
         _stoppable(work, lambda words: None)
     stop.set()
 

@@ -88,6 +88,9 @@ from ._rollout import (
 from ._rollout import (
     wrapped as wrapped,
 )
+from ._shares import AbstractShares as AbstractShares
+from ._shares import Share as Share
+from ._shares import Shares as Shares
 from ._solver import (
     LEAST_DAMPING as LEAST_DAMPING,
 )

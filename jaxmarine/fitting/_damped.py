@@ -15,7 +15,7 @@ from ._trust import Trust, pick
 # Decrease of the chi-square that is not worth a step: far below what a parameter's standard error costs.
 ATOL = 1e-2
 # Damping beyond which no step will find a decrease.
-_LOST = 1e8
+LOST = 1e8
 
 Y = TypeVar("Y")
 Found = TypeVar("Found")
@@ -74,7 +74,7 @@ class DampedGaussNewton(optx.AbstractMinimiser[Y, Found, State]):
         y, found = pick(better, state.y_eval, y), pick(better, found, state.found)
         after, predicted = self.moved(y, found, args, trust.damping)
         small = 2 * predicted < self.worth(options, trust.cost)
-        lost = ~jnp.isfinite(predicted) | (trust.damping > _LOST)
+        lost = ~jnp.isfinite(predicted) | (trust.damping > LOST)
         return y, State(after, found, trust.promised(predicted), small | lost, state.steps + 1), found
 
     def terminate(self, fn, y, args, options, state: State, tags):

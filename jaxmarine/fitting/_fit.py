@@ -11,14 +11,15 @@ from jaxtyping import Float, PyTree
 from .._errors import InputError
 from .._precision import need_double
 from .._types import CHANNEL_UNITS, CHANNELS, DOFS
-from ..logs import Log
+from ..logs import Log, merged
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
-from ._noise import noise_of
+from ._noise import median_noise, noises_of
 from ._one_step import fit_one_step
 from ._review import reviewed
+from ._shares import AbstractShares, fit_shares
 from ._trajectory import fit_trajectory
 from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
 
@@ -100,7 +101,7 @@ class Fit:
 
 def fit(
     vehicle: Vehicle,
-    logs: Log | Sequence[Log],
+    logs: Log | Sequence[Log] | AbstractShares,
     free: Select,
     *,
     loss: Literal["trajectory", "one_step"] = "trajectory",
@@ -119,7 +120,9 @@ def fit(
     Minimises, over the freed entries p and (trajectory) the initial state $x_w$ of every window,
     $\sum_w \sum_k |(\hat y_k(p, x_w) - y_k) / \sigma|^2 + \sum_i ((p_i - p_{i,0}) / s_i)^2$.
 
-    - `logs`: one or several, in the order in which they were recorded.
+    - `logs`: one or several, in the order in which they were recorded; or shares of them that lie elsewhere
+      (`jaxmarine.fleets.shared`), for the trajectory loss without `reject`: the motion that such a fit has
+      seen is not told.
     - `free`: picks leaves of the vehicle, `lambda v: (v.added_mass, v.damping.linear)`. Entries of
       6x6 matrices on locked axes stay; so does what an effect has besides its target's parameters.
     - `loss`: "trajectory" compares all measured channels over windows and is consistent under
@@ -157,8 +160,9 @@ def fit(
     changes), `ValueError` for arguments that no fit can have and without double precision, and, with `throw`,
     `FitError` for a simulation that diverged and a solve that did not reach its minimum.
     """
-    logs = (logs,) if isinstance(logs, Log) else tuple(logs)
-    if not logs:
+    shares = logs if isinstance(logs, AbstractShares) else None
+    logs = () if isinstance(logs, AbstractShares) else (logs,) if isinstance(logs, Log) else tuple(logs)
+    if not logs and shares is None:
         raise InputError("A fit needs at least one log.")
     need_double("A fit")
     if loss not in ("trajectory", "one_step"):
@@ -169,13 +173,23 @@ def fit(
         )
     if reject and loss == "one_step":
         raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
+    if shares is not None and (reject or loss == "one_step"):
+        raise ValueError("Logs that lie in several places are fitted by trajectories, without `reject`.")
+    looks = shares.ask("look") if shares is not None else []
     logs, notes = reviewed(vehicle, logs)
+    notes = (*notes, *(note for look in looks for note in look["notes"]))
+    names = [log.name for log in logs] + [name for look in looks for name in look["names"]]
     weigh = noise is None
-    noise = noise_of(vehicle, logs) if noise is None else noise
+    if noise is None:
+        noise = median_noise(
+            np.concatenate([look["noise"] for look in looks]) if looks else noises_of(vehicle, logs), names
+        )
     freed, scales = set_free(vehicle, free, prior, entries, dissipative)
     z_units = units(freed, scales)
-    if loss == "trajectory":
-        held = starts == "measured"
+    held = starts == "measured"
+    if shares is not None:
+        estimate = fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
+    elif loss == "trajectory":
         estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh)
     else:
         estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
@@ -191,14 +205,14 @@ def fit(
         steps=estimate.steps,
         converged=estimate.converged,
         result=estimate.result,
-        coverage=coverage(logs, vehicle.dof),
+        coverage=coverage(logs, vehicle.dof) if logs else (),
         loss=loss,
         window=window,
         noise=noise,
         left=estimate.left * noise,
         weighed=estimate.weighed * noise,
         rejected=estimate.rejected,
-        notes=(*notes, *(_missed(vehicle, logs, estimate, noise, window) if weigh else ())),
+        notes=merged((*notes, *(_missed(vehicle, names, estimate, noise, window) if weigh else ()))),
     )
 
 
@@ -245,7 +259,7 @@ def _senseless(freed: Freed, found: Uncertainty) -> str:
 
 
 def _missed(
-    vehicle: Vehicle, logs: Sequence[Log], estimate: Estimate, noise: np.ndarray, window: float
+    vehicle: Vehicle, logs: Sequence[str], estimate: Estimate, noise: np.ndarray, window: float
 ) -> list[str]:
     """A note on channels that the model misses by far more than their sensors' noise."""
     far = np.flatnonzero(np.nan_to_num(estimate.left) > _FAR)
@@ -257,7 +271,7 @@ def _missed(
         f"({'stated' if stated[i] else 'jitter'} {noise[i]:.2g})"
         for i in far
     )
-    names = logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
+    names = logs[0] if len(logs) == 1 else f"{len(logs)} logs"
     return [
         f"{names}: over windows of {window:g} s the model misses {errors}; channels were weighed by what is "
         "missed, which is an error of the model rather than of the sensors."
@@ -286,6 +300,8 @@ def _coverage(fit: Fit) -> list[str]:
         low, high = c.velocity_range
         return f"{c.dof} {low:.2g} to {high:.2g}"
 
+    if not fit.coverage:
+        return []
     return ["velocities seen (m/s, rad/s): " + ", ".join(axis(c) for c in fit.coverage)]
 
 

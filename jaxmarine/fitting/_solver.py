@@ -68,26 +68,50 @@ class WindowGaussNewton(DampedGaussNewton[Unknowns, Statistics]):
         self, y: Unknowns, found: Statistics, args: Task, damping: Float[Array, ""]
     ) -> tuple[Unknowns, Float[Array, ""]]:
         z, delta = y
-        # Initial states are damped too, or a step of theirs that overshoots could never be shortened; but
-        # far less, since within a window they are nearly collinear and would creep (measured: a payload
-        # took 5 steps without it, and did not converge in 25 with as much damping as z).
-        softened = jax.vmap(lambda h: h + STATES * damping * jnp.diag(jnp.diag(h)))(found.h_xx)
-        _, g, h = eqx.tree_at(lambda s: s.h_xx, found, softened).reduced()
+        soft = softened(found, damping)
+        _, g, h = soft.reduced()
+        d_z = step_of(g.sum(0), h.sum(0), args.precision, z, damping)
+        d_x, decrease = followed(found, soft, d_z)
         prior = args.precision * z
-        h = h.sum(0) + jnp.diag(args.precision)
-        scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
-        d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g.sum(0) + prior, assume_a="pos")
-        # Window by window, as in `Statistics.reduced`.
-        d_x = -jax.lax.map(_solved, (softened, found.g_x + found.h_xz @ d_z))
-        bend = jnp.einsum("wx,wxy,wy->", d_x, found.h_xx, d_x) + d_z @ (
-            found.h_zz.sum(0) @ d_z + args.precision * d_z
-        )
-        slope = (found.g_x * d_x).sum() + (found.g_z.sum(0) + prior) @ d_z
-        predicted = -(slope + jnp.einsum("wx,wxz,z->", d_x, found.h_xz, d_z) + 0.5 * bend)
+        predicted = decrease - prior @ d_z - 0.5 * d_z @ (args.precision * d_z)
         return (z + d_z, delta + d_x), predicted
 
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
-        return ATOL + options["rtol"] * 2 * cost
+        return worth_of(options["rtol"], cost)
+
+
+def worth_of(rtol, cost):
+    """The least decrease of the chi-square that is worth a step, at a cost."""
+    return ATOL + rtol * 2 * cost
+
+
+def softened(found: Statistics, damping: Float[Array, ""]) -> Statistics:
+    """The statistics with damped initial states.
+
+    They are damped too, or a step of theirs that overshoots could never be shortened; but far less, since
+    within a window they are nearly collinear and would creep (measured: a payload took 5 steps without it,
+    and did not converge in 25 with as much damping as z).
+    """
+    h_xx = jax.vmap(lambda h: h + STATES * damping * jnp.diag(jnp.diag(h)))(found.h_xx)
+    return eqx.tree_at(lambda s: s.h_xx, found, h_xx)
+
+
+def step_of(g: Float[Array, " z"], h: Float[Array, "z z"], precision, z, damping) -> Float[Array, " z"]:
+    """The step of z from the gradient and information of all windows, initial states eliminated."""
+    h = h + jnp.diag(precision)
+    scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
+    return -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g + precision * z, assume_a="pos")
+
+
+def followed(
+    found: Statistics, soft: Statistics, d_z: Float[Array, " z"]
+) -> tuple[Float[Array, "windows 12"], Float[Array, ""]]:
+    """The steps of the initial states that go with one of z, and the decrease they promise without prior."""
+    # Window by window, as in `Statistics.reduced`.
+    d_x = -jax.lax.map(_solved, (soft.h_xx, found.g_x + found.h_xz @ d_z))
+    bend = jnp.einsum("wx,wxy,wy->", d_x, found.h_xx, d_x) + d_z @ found.h_zz.sum(0) @ d_z
+    slope = (found.g_x * d_x).sum() + found.g_z.sum(0) @ d_z
+    return d_x, -(slope + jnp.einsum("wx,wxz,z->", d_x, found.h_xz, d_z) + 0.5 * bend)
 
 
 class Refined(eqx.Module):

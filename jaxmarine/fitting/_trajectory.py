@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .._types import CHANNELS
 from ..logs import Log
@@ -14,7 +14,7 @@ from ..simulation import gates, substeps
 from ..vehicle import Vehicle
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Affine
+from ._linearise import Affine, Statistics
 from ._rollout import Problem, measured_channels, predict, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._weights import largest, overdispersion, scaled, settled
@@ -28,18 +28,18 @@ _COSTLY = 5.0
 _JUDGING, _BETWEEN, _HALVING, _JUDGEMENTS = 4, 16, 4, 12
 # Solves at most, each with the weights that the one before asks for: from far off two or three find the
 # model, and as many more its weights.
-_WEIGHINGS = 8
+WEIGHINGS = 8
 # Windows that a start which runs away is first mended over are no shorter than this [s], and have half of
 # these samples at least.
 _SHORTEST, _FEWEST = 0.5, 16
 # Steps of each but the last, and the share of the cost that one must promise: the next has other weights. The
 # last ends where a step promises nothing any more.
-_ROUGH_STEPS, ROUGH, FINE = 12, 1e-3, 1e-9
+ROUGH_STEPS, ROUGH, FINE = 12, 1e-3, 1e-9
 # A solve that damping has slowed in a curved valley ends where a damped step promises nothing, though one
 # without promises more than this (half a chi-square): it begins anew with little damping, so often at most.
 _PROMISES, _ANEW = 0.05, 8
 # How many times finer the integration may become for a fitted vehicle stiffer than its start.
-_FINEST = 10
+FINEST = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Segments:
     gates: Float[np.ndarray, "segments placed"]
 
 
-def segments(vehicle: Vehicle, logs: Sequence[Log]) -> Segments:
-    """Segments of logs in the order in which they were recorded."""
-    names = [log.name for log in logs]
+def segments(vehicle: Vehicle, logs: Sequence[Log], later: Sequence[str] = ()) -> Segments:
+    """Segments of logs in the order in which they were recorded; `later`: names of those after them."""
+    names = [*(log.name for log in logs), *later]
     rows = []
     for g, log in enumerate(logs):
         row, before = gates(vehicle, log), gates(vehicle, log, earlier=(log.name,))
@@ -97,13 +97,13 @@ def fit_trajectory(
             steps += nearer.steps
             if nearer.finite and nearer.z.any():
                 z = nearer.z
-                split = max(split, min(substeps(freed(jnp.asarray(nearer.raw)), data.hold), _FINEST * split))
+                split = max(split, min(substeps(freed(jnp.asarray(nearer.raw)), data.hold), FINEST * split))
                 continue
         if not now.finite:
             # Finer steps from a point far off may fail where coarse ones had ended.
             return now if best is None else best
         # The fitted vehicle may be stiffer than its start.
-        needed = min(substeps(freed(jnp.asarray(now.raw)), data.hold), _FINEST * split)
+        needed = min(substeps(freed(jnp.asarray(now.raw)), data.hold), FINEST * split)
         if needed <= split or best is not None:
             return now
         split, z, best = needed, now.z, now
@@ -136,11 +136,11 @@ def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool)
     factor, last, steps, weighings = most, not weigh, 0, 0
     while True:
         weighings += 1
-        last = last or weighings == _WEIGHINGS
+        last = last or weighings == WEIGHINGS
         weighed = task.weighed(scaled(own, factor, dt))
         if reject:
             weighed, z, delta = _without_costly(weighed, z, delta)
-        how = (max_steps, FINE) if last else (min(_ROUGH_STEPS, max_steps), ROUGH)
+        how = (max_steps, FINE) if last else (min(ROUGH_STEPS, max_steps), ROUGH)
         refined = refine_windows(weighed, z, delta, *how)
         steps += int(refined.steps)
         for _ in range(_ANEW if last else 0):
@@ -282,20 +282,29 @@ def spurious(task: Task, refined: Refined) -> np.ndarray:
     there = np.asarray(refined.stats.reduced()[2].sum(0))
     if not np.isfinite(there).all():
         return there
+    draws = np.random.default_rng(0).normal(size=refined.delta.shape)
     try:
-        factor = np.linalg.cholesky(np.linalg.inv(np.asarray(refined.stats.h_xx)))
+        moved = drawn(task, refined.stats, draws)
     except np.linalg.LinAlgError:  # of a roll-out that diverged
         return there
-    draws = np.random.default_rng(0).normal(size=refined.delta.shape)
-    # Windows that were rejected, or that only fill up an array, have nothing that would hold their draws.
-    used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
-    moved = jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used[:, None])
     both = []
     for sign in (1.0, -1.0):
         # One step leaves the statistics where it began, by a program that is compiled already.
         probe = refine_windows(task, refined.z, refined.delta + sign * moved, 1)
         both.append(np.asarray(probe.stats.reduced()[2].sum(0)))
-    more = np.mean(both, axis=0) - there
+    return pretended(np.mean(both, axis=0) - there)
+
+
+def drawn(task: Task, stats: Statistics, draws: Float[np.ndarray, "windows 12"]) -> Array:
+    """Changes of the initial states by their noise, from standard normal draws."""
+    factor = np.linalg.cholesky(np.linalg.inv(np.asarray(stats.h_xx)))
+    # Windows that were rejected, or that only fill up an array, have nothing that would hold their draws.
+    used = np.any(np.asarray(task.problem.windows.weight) > 0, axis=(1, 2))
+    return jnp.asarray(np.einsum("wij,wj->wi", factor, draws) * used[:, None])
+
+
+def pretended(more: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
+    """The part of an information that is one, and not negative."""
     # Draws from which a roll-out diverges tell nothing.
     values, vectors = np.linalg.eigh(np.where(np.isfinite(more).all(), more, 0.0))
     return (vectors * np.maximum(values, 0.0)) @ vectors.T

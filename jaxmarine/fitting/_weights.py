@@ -7,6 +7,8 @@ that the model leaves in it over the windows, and by how many of its samples are
 of each window keeps the sensor's own noise, because no error of the model has grown there yet.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -42,14 +44,45 @@ def scaled(
     return weight * (first + (1.0 - first) / factor)
 
 
+def changes(
+    measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
+) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"]]:
+    """What each channel changes by in windows, in units of its noise and squared: summed, and how many."""
+    # Angles about the first sample, as they may be wrapped.
+    near = np.asarray(wrapped(measured - measured[:, :1]))
+    square = np.ma.masked_array(near * weight, weight == 0).std(axis=1) ** 2
+    return square.filled(0.0).sum(axis=0), (~np.ma.getmaskarray(square)).sum(axis=0).astype(float)
+
+
 def largest(
     measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
 ) -> Float[np.ndarray, "18"]:
     """Factors that raise a channel's noise to what it changes by in windows, the most it can be missed by."""
-    # Angles about the first sample, as they may be wrapped.
-    near = np.asarray(wrapped(measured - measured[:, :1]))
-    changes = np.ma.masked_array(near * weight, weight == 0).std(axis=1) ** 2
-    return np.maximum(np.sqrt(changes.mean(axis=0).filled(1.0)), 1.0)
+    return largest_of(*changes(measured, weight))
+
+
+def largest_of(total: Float[np.ndarray, "18"], count: Float[np.ndarray, "18"]) -> Float[np.ndarray, "18"]:
+    """`largest` from the `changes` of all windows."""
+    return np.maximum(np.sqrt(np.where(count > 0, total / np.maximum(count, 1.0), 1.0)), 1.0)
+
+
+class Products:
+    """Sums of products of what a model leaves in windows, lag by lag; arguments as of `overdispersion`."""
+
+    def __init__(
+        self,
+        residual: Float[Array | np.ndarray, "windows steps 18"],
+        weight: Float[Array | np.ndarray, "windows steps 18"],
+    ):
+        # What ran away is not a number to go by.
+        self._seen = ((np.asarray(weight) > 0) & np.isfinite(residual)).astype(float)
+        self._error = np.where(self._seen > 0, np.nan_to_num(np.asarray(residual)), 0.0)
+        self.steps = self._error.shape[1]
+
+    def __call__(self, lag: int) -> Float[np.ndarray, "2 18"]:
+        """How many pairs of samples are so far apart, and the sum of their products."""
+        late, early = slice(lag, None), slice(self.steps - lag)
+        return np.stack([(a[:, late] * a[:, early]).sum(axis=(0, 1)) for a in (self._seen, self._error)])
 
 
 def overdispersion(
@@ -57,25 +90,30 @@ def overdispersion(
     weight: Float[Array | np.ndarray, "windows steps 18"],
     most: Float[np.ndarray, "18"],
 ) -> Float[np.ndarray, "18"]:
-    r"""Factors that raise the noise of each channel to what the model leaves in it; 1 where that is noise.
+    """Factors that raise the noise of each channel to what the model leaves in it; 1 where that is noise.
 
     - `residual`: prediction minus measured, in units of the sensors' noise; `weight`: 0 where not measured.
+    """
+    products = Products(residual, weight)
+    return overdispersion_of(products, products.steps, most)
+
+
+def overdispersion_of(
+    products: Callable[[int], Float[np.ndarray, "2 18"]], steps: int, most: Float[np.ndarray, "18"]
+) -> Float[np.ndarray, "18"]:
+    r"""`overdispersion` from the `Products` of all windows, by lag; each window has so many `steps`.
 
     The root mean square, no more than `most` (a channel that is missed would else be missed the more), times
     the root of how many neighbouring samples are worth one, $1 + 2 \sum_l (1 - l / n) \rho_l$ over the lags l
     up to the first that is not positive (after Geyer 1992), at most the window's n samples.
     """
-    # What ran away is not a number to go by.
-    seen = ((np.asarray(weight) > 0) & np.isfinite(residual)).astype(float)
-    error = np.where(seen > 0, np.nan_to_num(np.asarray(residual)), 0.0)
-    count = np.maximum(seen.sum(axis=(0, 1)), 1.0)
-    variance = (error**2).sum(axis=(0, 1)) / count
+    count, square = products(0)
+    count = np.maximum(count, 1.0)
+    variance = square / count
     size = np.minimum(variance, most**2)
-    steps = error.shape[1]
-    alike, going = np.ones(error.shape[2]), variance > 0
+    alike, going = np.ones(len(count)), variance > 0
     for lag in range(1, steps):
-        pairs = (seen[:, lag:] * seen[:, :-lag]).sum(axis=(0, 1))
-        product = (error[:, lag:] * error[:, :-lag]).sum(axis=(0, 1))
+        pairs, product = products(lag)
         measured = pairs > 0
         correlation = np.where(measured, product / np.maximum(pairs, 1.0), 0.0) / np.maximum(variance, 1e-300)
         # A lag at which nothing was measured (a slow sensor) tells nothing and ends nothing.

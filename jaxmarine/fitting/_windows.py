@@ -132,6 +132,7 @@ def cut(
     length: float,
     stride: float | None = None,
     segments: Sequence[np.ndarray] | None = None,
+    dt: float | None = None,
 ) -> Cut:
     """Cuts windows of `length` seconds, one every `stride` seconds (default: end to end).
 
@@ -140,13 +141,14 @@ def cut(
 
     - `noise`: standard deviation per channel, NaN for channels that are not to be used.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
+    - `dt` [s]: from sample to sample, default the logs' median; that of others too where there are more.
     """
     longest = max(len(log.t) for log in logs)
     count = len(vehicle.command_names)
     records = {name: [] for name in ("t", "dt", "commands", "wrench", "attitude", "velocity", "segment")}
     parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
     starts, holds = [], []
-    dt = float(np.median([log.dt for log in logs]))
+    dt = float(np.median([log.dt for log in logs])) if dt is None else dt
     for log in logs:
         if not 0.8 < log.dt / dt < 1.25:
             raise InputError(

@@ -24,7 +24,9 @@ from ._notes import merged as merged
 from ._notes import moment as moment
 from ._notes import together as together
 from ._read import read_log as read_log
+from ._read import read_logs as read_logs
 from ._read import write_log as write_log
 from ._states import StateTrack as StateTrack
 from ._states import reachable as reachable
 from ._states import smooth_states as smooth_states
+from ._table import read_table as read_table

@@ -1,5 +1,6 @@
 """From a file to a `Log`, and back; every rule of the log format is checked here."""
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,6 +69,22 @@ def read_log(
         notes=tuple(Note.on(name, sentence) for sentence in file.notes),
     )
     return clean(log)
+
+
+def read_logs(
+    paths: Sequence[str | os.PathLike[str]], vehicle: Craft, columns: ColumnMap | None = None
+) -> list[Log]:
+    """The recordings at some paths; of several one that cannot be used is left out, and a note says so."""
+    logs, wrong = [], []
+    for path in paths:
+        try:
+            logs.append(read_log(path, vehicle, columns))
+        except InputError as error:
+            wrong.append(error)
+    if not logs:
+        raise wrong[0]
+    logs[0] = dataclasses.replace(logs[0], notes=(*(f"Left out: {error}" for error in wrong), *logs[0].notes))
+    return logs
 
 
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:

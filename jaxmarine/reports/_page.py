@@ -76,8 +76,49 @@ class Error:
 
 def page(diagnosis: Diagnosis) -> str:
     """The whole page as one text."""
+    charts = {
+        "error": error_chart(diagnosis),
+        "missing": missing_time_chart(diagnosis),
+        "missing_velocity": missing_velocity_chart(diagnosis),
+        "trajectory": trajectory_chart(diagnosis),
+    }
+    return (
+        templates(Path(__file__).parent)
+        .get_template("page.html.j2")
+        .render(
+            d=diagnosis,
+            verdict=words.verdict(diagnosis),
+            explanation=words.explanation(diagnosis),
+            facts=_facts(diagnosis),
+            cards=[_card(finding, diagnosis) for finding in diagnosis.findings],
+            checked=_checked(diagnosis),
+            charts=charts,
+            rounds=_rounds(diagnosis),
+            parameters=[row for finding in diagnosis.findings for row in _parameters(finding)],
+            groups=[
+                (joined([title(label) for label in group]), diagnosis.causes_of(group))
+                for group in diagnosis.groups
+            ],
+            recalibrated=[_recalibrated(entry) for entry in diagnosis.recalibrated],
+            remainder=words.remainder(diagnosis),
+            gain=words.gain_words(diagnosis),
+            held_out=words.held_out(diagnosis),
+            gains=_gains(diagnosis),
+            per_log=_per_log(diagnosis),
+            warnings=diagnosis.warnings,
+            notes=[note for note in diagnosis.notes if note not in diagnosis.warnings],
+            dropped=[(title(one.label), one.reason) for one in diagnosis.dropped],
+            horizon=number(diagnosis.gain.horizon),
+            told=[_told(axis) for axis in diagnosis.check.axes],
+            done=_done(diagnosis),
+        )
+    )
+
+
+def templates(*folders: Path) -> jinja2.Environment:
+    """The templates in some folders; what they show is escaped, and a plot is drawn."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        loader=jinja2.FileSystemLoader(folders),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -85,39 +126,7 @@ def page(diagnosis: Diagnosis) -> str:
     )
     environment.filters["marked"] = _marked
     environment.filters["drawn"] = lambda plot: markupsafe.Markup(plot.svg())
-    charts = {
-        "error": error_chart(diagnosis),
-        "missing": missing_time_chart(diagnosis),
-        "missing_velocity": missing_velocity_chart(diagnosis),
-        "trajectory": trajectory_chart(diagnosis),
-    }
-    return environment.get_template("page.html.j2").render(
-        d=diagnosis,
-        verdict=words.verdict(diagnosis),
-        explanation=words.explanation(diagnosis),
-        facts=_facts(diagnosis),
-        cards=[_card(finding, diagnosis) for finding in diagnosis.findings],
-        checked=_checked(diagnosis),
-        charts=charts,
-        rounds=_rounds(diagnosis),
-        parameters=[row for finding in diagnosis.findings for row in _parameters(finding)],
-        groups=[
-            (joined([title(label) for label in group]), diagnosis.causes_of(group))
-            for group in diagnosis.groups
-        ],
-        recalibrated=[_recalibrated(entry) for entry in diagnosis.recalibrated],
-        remainder=words.remainder(diagnosis),
-        gain=words.gain_words(diagnosis),
-        held_out=words.held_out(diagnosis),
-        gains=_gains(diagnosis),
-        per_log=_per_log(diagnosis),
-        warnings=diagnosis.warnings,
-        notes=[note for note in diagnosis.notes if note not in diagnosis.warnings],
-        dropped=[(title(one.label), one.reason) for one in diagnosis.dropped],
-        horizon=number(diagnosis.gain.horizon),
-        told=[_told(axis) for axis in diagnosis.check.axes],
-        done=_done(diagnosis),
-    )
+    return environment
 
 
 def _marked(text: str) -> markupsafe.Markup:

@@ -1,0 +1,10 @@
+from ._drift import Alarm as Alarm
+from ._drift import Change as Change
+from ._drift import alarms as alarms
+from ._drift import change_point as change_point
+from ._fleet import Fleet as Fleet
+from ._fleet import fleet as fleet
+from ._shared import shared as shared
+from ._sisters import Class as Class
+from ._sisters import craft_of as craft_of
+from ._sisters import pooled as pooled

@@ -1,0 +1,64 @@
+"""The work of one worker: a log diagnosed, from its files to what is kept of it."""
+
+import gc
+import tempfile
+from pathlib import Path
+
+import jax
+
+from .._errors import InputError
+from .._program import program
+from .._start import prepare
+from ..diagnosis import diagnose
+from ..logs import read_logs
+from ..reports import write_report
+from ..vehicle_io import load_vehicle, save_vehicle
+from ._job import Job, Outcome
+from ._paths import at_hand
+from ._rows import rows_of
+
+# Memory maps of a process from which on its compiled programs are let go. Each holds some, of which Linux
+# gives a process 65530; one diagnosis adds a few thousand at most.
+_MAPS = 20_000
+
+
+def diagnosed(job: Job) -> Outcome:
+    """Diagnoses a log as `jaxmarine diagnose` does, in a process that may have diagnosed others before."""
+
+    prepare()
+    try:
+        if program() != job.program:
+            raise InputError(
+                f"{job.name}: the worker runs jaxmarine {program()}, not {job.program}; install the same one "
+                "on all machines."
+            )
+        with tempfile.TemporaryDirectory() as folder:
+            return _diagnosed(job, Path(folder))
+    except InputError as error:
+        return Outcome(error=str(error))
+    finally:
+        _let_go()
+
+
+def _diagnosed(job: Job, folder: Path) -> Outcome:
+    for place in job.arrays:
+        at_hand(place, folder / "vehicle")
+    craft = load_vehicle(at_hand(job.vehicle, folder / "vehicle"))
+    train, test = (
+        read_logs([at_hand(place, folder / part) for place in places], craft)
+        for part, places in (("train", job.train), ("test", job.test))
+    )
+    result = diagnose(craft, train, test)
+    out = folder / "report"
+    write_report(result, out)
+    save_vehicle(result.extended, out / "extended.toml")
+    files = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    return Outcome(tuple(rows_of(result)), files)
+
+
+def _let_go() -> None:
+    """Lets compiled programs go where the process has too many memory maps for another diagnosis."""
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > _MAPS:
+        jax.clear_caches()
+        gc.collect()
