@@ -193,6 +193,7 @@ def test_every_log_is_a_row_whatever_happens_to_it(tmp_path):
     assert [tries(table, name) for name in ("weak", "broken", "raises")] == [1, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_scheduler_by_its_address_goes_on_after_a_run_was_killed(tmp_path):
     table = table_of(tmp_path, {f"log{i}": "weak 0.9" for i in range(6)} | {"late": "late"})
     at = tmp_path / "scheduler.json"

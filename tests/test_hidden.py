@@ -105,7 +105,8 @@ def test_one_effect_is_named_and_nothing_else(ship, name, seed):
     assert whole(answer, diagnosis), (answer, diagnosis["findings"])
 
 
-@pytest.mark.parametrize(("names", "seed"), first_always(PAIRS.items()), ids=["+".join(p) for p in PAIRS])
+@pytest.mark.slow
+@pytest.mark.parametrize(("names", "seed"), PAIRS.items(), ids=["+".join(p) for p in PAIRS])
 def test_two_effects_are_both_named(names, seed):
     answer, diagnosis = answered(BOAT, [drawn(BOAT, name, seed) for name in names], seed)
     assert whole(answer, diagnosis), (answer, diagnosis["findings"])

@@ -309,6 +309,7 @@ def test_the_pod_loses_two_thirds_of_its_drag_coefficient_and_always_brakes():
 # --- the scripts ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_quick_run_finds_the_fouled_propeller(tmp_path):
     fouled_propeller.main(tmp_path, seeds=1, quick=True)
     run = json.loads((tmp_path / "results.json").read_text())["runs"][0]

@@ -30,6 +30,7 @@ def start():
     return eqx.tree_at(free, file, (0.8 * file.damping.linear, 1.2 * file.thrusters.max_thrust))
 
 
+@pytest.mark.slow
 def test_shares_come_to_what_one_process_comes_to(logs):
     one = fit(start(), logs, free, entries="diagonal", prior=0.5)
     shares = Shares([Share(start(), [log]) for log in logs])
