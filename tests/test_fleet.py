@@ -19,6 +19,7 @@ import pandas as pd
 import pytest
 
 import jaxmarine as jm
+from jaxmarine._program import program
 from jaxmarine.examples import hidden
 from jaxmarine.fleets import _work
 from jaxmarine.fleets._folder import Folder
@@ -133,29 +134,28 @@ def test_files_of_an_object_store_are_fetched(tmp_path):
     for name in ("v.toml", "one/a.csv", "two/a.csv", "two/b.csv"):
         store.pipe(f"/fleet/{name}", b"schema = 1\n")
     (entry,) = read_entries("memory://fleet/table.csv", tmp_path)
-    job = job_of(entry)
+    job = job_of(entry, program())
     assert [path.removeprefix("memory://").lstrip("/") for path in job.train] == [
         "fleet/one/a.csv",
         "fleet/two/a.csv",
     ]
     before = job.key
     store.pipe("/fleet/two/b.csv", b"schema = 2\n")
-    assert job_of(entry).key != before
+    assert job_of(entry, program()).key != before
     assert "names no file" in refusal(
         lambda: entries(tmp_path, "vehicle,train,test\nmemory://no,a,b\n")[0].files()
     )
 
 
-def test_a_key_is_that_of_contents_and_names(tmp_path, monkeypatch):
+def test_a_key_is_that_of_contents_and_names(tmp_path):
     table = table_of(tmp_path, {"a": "fine"})
     (entry,) = read_entries(table, tmp_path)
-    first = job_of(entry).key
+    first = job_of(entry, program()).key
     os.utime(tmp_path / "a.txt", (0, 0))
-    assert job_of(entry).key == first
+    assert job_of(entry, program()).key == first
     (tmp_path / "a.txt").write_text("weak 0.9")
-    second = job_of(entry).key
-    monkeypatch.setattr("jaxmarine.fleets._job.program", lambda: "another")
-    assert len({first, second, job_of(entry).key}) == 3
+    second = job_of(entry, program()).key
+    assert len({first, second, job_of(entry, "another").key}) == 3
 
 
 # --- nothing is lost -------------------------------------------------------------------------------

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._types import DOFS
-from ..effects import PAIRS
+from ..effects import JOINED
 from ..physics import coriolis
 from ..vehicle import Vehicle
 from ._signals import Places
@@ -25,10 +24,7 @@ def couplings(vehicle: Vehicle, places: Places) -> Float[np.ndarray, "windows kn
     between = np.outer(vehicle.free, vehicle.free) > 0
     added = np.asarray(vehicle.added_mass)
     out = []
-    joined = {(DOFS.index(a), DOFS.index(b)) for a, b in PAIRS}
-    for i, j in np.argwhere(np.triu(added != 0, 1) & between):
-        if (i, j) in joined:
-            continue
+    for i, j in np.argwhere(np.triu(added != 0, 1) & between & ~JOINED):
         pair = np.zeros((6, 6))
         pair[i, j] = pair[j, i] = added[i, j]
         out.append(nu_dot @ pair + np.asarray(swirl(jnp.asarray(pair), jnp.asarray(nu))))

@@ -63,7 +63,7 @@ def _innovations(bench: Workbench, model: Model) -> dict[str, list[Float[np.ndar
         of_logs = [np.full(len(one.t), np.nan) for one in bench.data.logs]
         for i, series in enumerate(of_logs):
             here = log == i
-            series[step[here][:, : white.shape[1]]] = white[here][..., row]
+            series[step[here]] = white[here][..., row]
         out[CHANNELS[channel]] = of_logs
     return out
 

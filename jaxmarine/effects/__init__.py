@@ -75,7 +75,7 @@ from ._drive import (
 from ._drive import (
     ThrusterLag as ThrusterLag,
 )
-from ._load import PAIRS as PAIRS
+from ._load import JOINED as JOINED
 from ._load import AddedMass as AddedMass
 from ._load import Buoyancy as Buoyancy
 from ._load import CoupledAddedMass as CoupledAddedMass

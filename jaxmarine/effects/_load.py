@@ -36,8 +36,8 @@ class AddedMass(LoadEffect):
         return dataclasses.replace(load, added=load.added + jnp.diag(self.value))
 
 
-# Axes whose added masses a hull joins that is alike on port and starboard.
-PAIRS = (
+# Axes whose added masses a hull joins that is alike on port and starboard. Source: Fossen (2021), sec. 6.3.
+_PAIRS = (
     ("surge", "heave"),
     ("surge", "pitch"),
     ("heave", "pitch"),
@@ -45,7 +45,10 @@ PAIRS = (
     ("sway", "yaw"),
     ("roll", "yaw"),
 )
-_ROWS, _COLUMNS = np.array([[DOFS.index(dof) for dof in pair] for pair in PAIRS]).T
+_ROWS, _COLUMNS = np.array([[DOFS.index(dof) for dof in pair] for pair in _PAIRS]).T
+# The same as a pattern of a matrix, its diagonal included.
+JOINED = np.eye(6, dtype=bool)
+JOINED[_ROWS, _COLUMNS] = JOINED[_COLUMNS, _ROWS] = True
 
 
 class CoupledAddedMass(LoadEffect):
@@ -65,13 +68,13 @@ class CoupledAddedMass(LoadEffect):
     @classmethod
     def neutral(cls, craft: Craft) -> Self:
         del craft
-        return cls(zeros(len(PAIRS)))
+        return cls(zeros(len(_PAIRS)))
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         return tuple(
             Suspect(cls, "+".join(pair), {"value": (i,)})
-            for i, pair in enumerate(PAIRS)
+            for i, pair in enumerate(_PAIRS)
             if {*pair} <= {*craft.dof}
         )
 

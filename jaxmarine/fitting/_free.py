@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from .._errors import InputError
 from .._types import DOFS, Matrix6
-from ..effects import HullLift, TurningLift
+from ..effects import JOINED, HullLift, TurningLift
 from ..vehicle import Plant, Vehicle
 
 Selection = Literal["all", "nonzero", "diagonal", "coupled"]
@@ -30,9 +30,6 @@ _BRAKING = 0.2
 # Share of an axis' total inertia below which a fitted one fades out instead of becoming negative, and the
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
-# Of each axis the group within which a hull that is alike on port and starboard couples: surge, heave and
-# pitch; sway, roll and yaw. Source: Fossen (2021), sec. 6.3 (symmetry of the added mass).
-_COUPLED = (0, 1, 0, 1, 0, 1)
 # Leaves of numbers that are positive by what they are: thrusts, and of actuators the thrust at rest (the
 # first number of `kt` and of `kt_reverse`), the lift of a surface and drag across the flow.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
@@ -405,7 +402,7 @@ def _mask(vehicle: Vehicle, leaf, entries: Selection, symmetric: bool) -> np.nda
         "all": np.ones((6, 6), bool),
         "nonzero": np.asarray(leaf) != 0,
         "diagonal": np.eye(6, dtype=bool),
-        "coupled": np.equal.outer(_COUPLED, _COUPLED),
+        "coupled": JOINED,
     }
     if entries not in wanted:
         raise ValueError(f"Argument `entries` must be one of {', '.join(wanted)}, not {entries!r}.")

@@ -11,6 +11,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import written_whole
+from .._program import program
 from .._progress import Progress, silent
 from ._engine import Work, worked
 from ._folder import Folder
@@ -105,9 +106,11 @@ def _begun(entries: tuple[Entry, ...], folder: Folder) -> tuple[dict[str, Outcom
     """What is known already, by the names of the logs, and what is to be done."""
     outcomes: dict[str, Outcome] = {}
     jobs: dict[str, Job] = {}
+    # The sources are read for it: once for all logs.
+    by = program()
     for entry in entries:
         try:
-            job = job_of(entry)
+            job = job_of(entry, by)
         except InputError as error:
             outcomes[entry.slug] = Outcome(error=str(error), final=False)
             continue

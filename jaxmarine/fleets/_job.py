@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .._files import read_toml
-from .._program import program
 from ._paths import at_hand, content, joined
 
 if TYPE_CHECKING:
@@ -51,9 +50,11 @@ class Outcome:
     final: bool = True
 
 
-def job_of(entry: "Entry") -> Job:
-    """The job of a row of the table; raises `InputError` where its files are not there."""
-    whose = program()
+def job_of(entry: "Entry", program: str) -> Job:
+    """The job of a row of the table; raises `InputError` where its files are not there.
+
+    - `program`: the one that is to answer (`_program`).
+    """
     vehicle, train, test = entry.files()
     arrays = _arrays(vehicle)
     # Names count, as they stand in the answer; where the files lie does not.
@@ -61,8 +62,8 @@ def job_of(entry: "Entry") -> Job:
         [[Path(place).name, content(place)] for place in places]
         for places in ((vehicle, *arrays), train, test)
     ]
-    key = hashlib.sha256(json.dumps([whose, what]).encode()).hexdigest()
-    return Job(key, entry.name, vehicle, arrays, train, test, whose)
+    key = hashlib.sha256(json.dumps([program, what]).encode()).hexdigest()
+    return Job(key, entry.name, vehicle, arrays, train, test, program)
 
 
 def _arrays(vehicle: str) -> tuple[str, ...]:
