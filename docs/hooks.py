@@ -4,11 +4,14 @@ Links in the pages are those of the repository, so that they also work where it 
 the site. What is no page of it, as a source file, is named without a link.
 """
 
+import inspect
 import posixpath
 import re
 from collections.abc import Iterable
+from html import unescape
 from pathlib import Path
 
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -17,7 +20,6 @@ from jaxmarine.effects import CATALOGUE, AbstractEffect, Craft
 from jaxmarine.vehicle_io import load_vehicle
 
 ROOT = Path(__file__).resolve().parent.parent
-CATALOGUE_MARK = "<!-- catalogue -->"
 # The stage in which effects of a module act.
 STAGES = {
     "_drive": "command and thruster",
@@ -27,6 +29,8 @@ STAGES = {
     "_wrench": "wrench",
     "_sensor": "sensor",
 }
+# What the extension `arithmatex` makes of $...$, and of $$...$$.
+_FORMULA = re.compile(r'<(?:span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</(?:span|div)>', re.DOTALL)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
 
 
@@ -46,7 +50,21 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     del config
     uri = page.file.src_uri
     at = {site: path for path, site in outside().items()}.get(uri, f"docs/{uri}")
-    return in_site(markdown, at, uri, files.src_uris).replace(CATALOGUE_MARK, catalogue())
+    text = in_site(markdown, at, uri, files.src_uris)
+    for mark, make in MADE.items():
+        if mark in text:
+            text = text.replace(mark, make())
+    return text
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Formulas as MathML, which browsers draw without a script."""
+    del page, config, files
+    return _FORMULA.sub(lambda found: mathml(unescape(found[1] or found[2]), bool(found[2])), html)
+
+
+def mathml(formula: str, alone: bool) -> str:
+    return convert(formula.strip(), display="block" if alone else "inline")
 
 
 def in_site(markdown: str, at: str, uri: str, known: Iterable[str]) -> str:
@@ -69,12 +87,11 @@ def in_site(markdown: str, at: str, uri: str, known: Iterable[str]) -> str:
     return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
 
 
-def catalogue() -> str:
-    """The catalogue in the order in which effects act: a table, and what else each says of itself."""
+def table() -> str:
+    """The catalogue in the order in which effects act."""
     crafts = [load_vehicle(path) for path in sorted((ROOT / "jaxmarine" / "vehicles").glob("*.toml"))]
     head = ["| stage | effect | target | parameters | easily confused with |", "| --- " * 5 + "|"]
-    rows = [row(effect, crafts) for effect in CATALOGUE]
-    return "\n".join([*head, *rows, "", *(entry(effect) for effect in CATALOGUE)])
+    return "\n".join([*head, *(row(effect, crafts) for effect in CATALOGUE)])
 
 
 def row(effect: type[AbstractEffect], crafts: list) -> str:
@@ -84,11 +101,17 @@ def row(effect: type[AbstractEffect], crafts: list) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
+def entries() -> str:
+    """What each effect says of itself."""
+    return "\n".join(entry(effect) for effect in CATALOGUE)
+
+
 def entry(effect: type[AbstractEffect]) -> str:
     """One effect in words: what it does, by its docstring, where it shows, and what to look at on the boat."""
-    told = "\n".join(line.strip() for line in (effect.__doc__ or "").splitlines())
-    said = [f"*{title}:* {words}." for title, words in (("Shows in", effect.shown_by), ("Advice", effect.advice)) if words]
-    return "\n".join([f"### `{effect.name}` {{ #{effect.name} }}", "", told, "", *(line + "\n" for line in said)])
+    told = inspect.cleandoc(effect.__doc__ or "")
+    said = (("Shows best in", effect.shown_by), ("To look at", effect.advice))
+    lines = [f"*{title}:* {words}." for title, words in said if words]
+    return "\n\n".join([f"### `{effect.name}` {{ #{effect.name} }}", told, *lines, ""])
 
 
 def stage(effect: type[AbstractEffect]) -> str:
@@ -130,3 +153,7 @@ def kind(target: str, craft: Craft) -> str:
         if target in those.names:
             return those.key
     return f"`{target}`"
+
+
+# What stands in the place of these marks.
+MADE = {"<!-- catalogue: table -->": table, "<!-- catalogue: entries -->": entries}

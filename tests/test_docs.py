@@ -10,6 +10,7 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from docs import hooks
+from jaxmarine import CATALOGUE
 
 from .conftest import ROOT
 
@@ -86,6 +87,12 @@ def test_every_page_is_in_the_site_and_in_its_search(site):
     assert found == pages and len(pages) == len(PAGES)
     # A page that is opened from a folder may load scripts, but no data.
     assert (site / "search" / "search_index.js").read_text().startswith("var __index = ")
+
+
+def test_the_catalogue_is_in_the_site(site):
+    page = (site / "catalogue.html").read_text()
+    for effect in CATALOGUE:
+        assert f'id="{effect.name}"' in page and f'href="#{effect.name}"' in page
 
 
 def test_the_site_loads_nothing_from_elsewhere(site):

@@ -128,7 +128,7 @@ def test_an_effect_of_ones_own_is_suspected_and_acts(folder):
 
 
 def test_the_table_of_the_catalogue_is_that_of_the_code():
-    table = hooks.catalogue().split("### ")[0]
+    table = hooks.table()
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines() if "`" in row]
     rows = [row for row in rows if len(row) == 5]
     assert [re.match(r"\[`(\w+)`\]", row[1])[1] for row in rows] == [effect.name for effect in jm.CATALOGUE]
@@ -161,7 +161,7 @@ def test_the_vehicle_of_the_page_drives_ahead_under_equal_commands(folder):
 
 
 def test_the_table_of_the_vehicle_file_has_every_key_and_default():
-    section = page("docs/files.md").split("**Vehicle**")[1].split("What a diagnosis has found")[0]
+    section = page("docs/files.md").split("## Vehicle file")[1].split("What a diagnosis has found")[0]
     section = section.partition("Propellers, rudders and fins")[0]
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in section.splitlines() if row[:1] == "|"]
     keys = [(set(re.findall(r"`(\w+)`", row[0])), row[3]) for row in rows]
