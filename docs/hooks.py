@@ -1,7 +1,7 @@
 """What mkdocs does besides for the site: pages that lie outside of docs/, links, and the catalogue's table.
 
-Links in the pages are those of the repository, so that they also work where it is browsed; here they become those of
-the site. What is no page of it, as a source file, is named without a link.
+Links in the pages are those of the repository, so that they also work where it is browsed; here they become
+those of the site. What is no page of it, as a source file, is named without a link.
 """
 
 import inspect
@@ -30,7 +30,9 @@ STAGES = {
     "_sensor": "sensor",
 }
 # What the extension `arithmatex` makes of $...$, and of $$...$$.
-_FORMULA = re.compile(r'<(?:span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</(?:span|div)>', re.DOTALL)
+_FORMULA = re.compile(
+    r'<(?:span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</(?:span|div)>', re.DOTALL
+)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
 
 
@@ -68,7 +70,7 @@ def mathml(formula: str, alone: bool) -> str:
 
 
 def in_site(markdown: str, at: str, uri: str, known: Iterable[str]) -> str:
-    """The text of a page that lies `at` a path of the repository with links as its `uri` in the site needs them."""
+    """The text of a page `at` a path of the repository, with links as its `uri` in the site needs them."""
 
     def link(match: re.Match[str]) -> str:
         picture, words, target = match.groups()
@@ -97,7 +99,13 @@ def table() -> str:
 def row(effect: type[AbstractEffect], crafts: list) -> str:
     """One effect in the table."""
     others = ", ".join(f"`{name}`" for name in effect.confused_with)
-    cells = (stage(effect), f"[`{effect.name}`](#{effect.name})", targets(effect, crafts), numbers(effect), others)
+    cells = (
+        stage(effect),
+        f"[`{effect.name}`](#{effect.name})",
+        targets(effect, crafts),
+        numbers(effect),
+        others,
+    )
     return "| " + " | ".join(cells) + " |"
 
 
@@ -107,7 +115,7 @@ def entries() -> str:
 
 
 def entry(effect: type[AbstractEffect]) -> str:
-    """One effect in words: what it does, by its docstring, where it shows, and what to look at on the boat."""
+    """One effect in words: what it does, where it shows, and what to look at on the boat."""
     told = inspect.cleandoc(effect.__doc__ or "")
     said = (("Shows best in", effect.shown_by), ("To look at", effect.advice))
     lines = [f"*{title}:* {words}." for title, words in said if words]

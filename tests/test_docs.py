@@ -14,7 +14,9 @@ from jaxmarine import CATALOGUE
 
 from .conftest import ROOT
 
-PAGES = sorted([*hooks.outside(), *(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))])
+PAGES = sorted(
+    [*hooks.outside(), *(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))]
+)
 # The README is a door: who wants more goes through it.
 MOST_BYTES = 9000
 
@@ -53,7 +55,14 @@ def test_the_readme_is_short_and_pictures_are_small():
 
 
 def test_links_of_the_repository_become_those_of_the_site():
-    known = {"index.md", "trust.md", "maps/a.toml", "experiments/README.md", "experiments/usv/README.md", "a.png"}
+    known = {
+        "index.md",
+        "trust.md",
+        "maps/a.toml",
+        "experiments/README.md",
+        "experiments/usv/README.md",
+        "a.png",
+    }
 
     def told(text: str, at: str, uri: str) -> str:
         return hooks.in_site(text, at, uri, known)
@@ -96,7 +105,9 @@ def test_the_catalogue_is_in_the_site(site):
 
 
 def test_the_site_loads_nothing_from_elsewhere(site):
-    loading = re.compile(r"<(?:script|img|iframe|source)[^>]*\ssrc=\"?(?:https?:)?//|<link[^>]*\shref=\"?(?:https?:)?//")
+    loading = re.compile(
+        r"<(?:script|img|iframe|source)[^>]*\ssrc=\"?(?:https?:)?//|<link[^>]*\shref=\"?(?:https?:)?//"
+    )
     for page in site.rglob("*.html"):
         assert not loading.search(page.read_text()), page.name
     for sheet in site.rglob("*.css"):

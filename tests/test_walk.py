@@ -12,11 +12,11 @@ import pytest
 import jaxmarine as jm
 from docs import hooks
 from jaxmarine.effects import place
+from jaxmarine.logs import _sources
 from jaxmarine.vehicle import Input
 from jaxmarine.vehicle_file import AddedMass, Body, Damping, Environment, Sensors, Thruster
 
 from .conftest import ROOT
-
 
 
 def page(name: str) -> str:
@@ -49,6 +49,8 @@ def agrees(printed: str, promised: str) -> None:
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
+    # A recipe adds a reader, which is none of the other tests.
+    monkeypatch.setattr(_sources, "RECORDINGS", dict(_sources.RECORDINGS))
     return tmp_path
 
 
@@ -84,6 +86,10 @@ def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys, monkey
     made = pushes @ (names["commands"] * vehicle.thrusters.max_thrust)
     np.testing.assert_allclose(pushes.T @ (made - wrench), 0.0, atol=1e-9)
 
+    figure = extended(3)["heading_errors"](names["diagnosis"])
+    before, after = (max(np.abs(line.get_ydata()).max() for line in ax.lines) for ax in figure.axes)
+    assert after < 0.5 * before  # of the heading, which a weak port thruster turns
+
     # The README has the same walk with less on the way: the diagnosis of the same logs is not made twice.
     def diagnosed(vehicle, train, held_out):
         assert eqx.tree_equal(vehicle, names["vehicle"])
@@ -101,8 +107,16 @@ def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys, monkey
     assert (folder / "extended.toml").exists()
 
 
+def extended(recipe: int) -> dict:
+    """The names after recipes of the page: an effect (0), an actuator, a reader and a figure of one's own."""
+    names = {"__name__": "recipes"}
+    for text in blocks("python", "docs/extending.md")[: recipe + 1]:
+        run(text, names)
+    return names
+
+
 def test_an_effect_of_ones_own_is_suspected_and_acts(folder):
-    names = run(blocks("python", "docs/extending.md")[0])
+    names = extended(0)
     cubic = names["CubicDrag"]
     assert names["catalogue"] == (*jm.CATALOGUE, cubic)
     craft = jm.load_vehicle(jm.packaged_vehicle("cybership2"))
@@ -125,6 +139,46 @@ def test_an_effect_of_ones_own_is_suspected_and_acts(folder):
     jm.save_vehicle(craft.place(jm.Placed(effect)), folder / "own.toml")
     again = jm.load_vehicle(folder / "own.toml", names["catalogue"])
     assert jnp.array_equal(jm.simulate(again, log, still)["u"], speed(2.0))
+
+
+def test_an_actuator_of_ones_own_brakes(folder):
+    names = extended(1)
+    boat, *_ = (text for text in blocks("toml", "docs/files.md") if text.startswith("schema"))
+    (flap,) = blocks("toml", "docs/extending.md")
+    Path("boat.toml").write_text(f"{boat}\n{flap}")
+    craft = jm.load_vehicle("boat.toml", kinds=names["KINDS"] + (names["Flaps"],))
+    assert craft.command_names == ("port", "starboard", "brake")
+    t = np.arange(0.0, 30.0, 0.1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), np.ones((len(t), 3)), None, craft.command_names, "-")
+    run = jm.simulate(craft, log, jm.initial_state(craft))
+    # In the end 80 N of thrust meet 20 u + (75 + 40) u² of drag.
+    assert float(run["u"][-1]) == pytest.approx((-20 + (20**2 + 4 * 115 * 80) ** 0.5) / 230, rel=1e-3)
+
+
+def test_a_reader_of_ones_own_reads(folder):
+    names = extended(2)
+    assert _sources.RECORDINGS[".lines"] is names["Lines"]
+    boat, *_ = (text for text in blocks("toml", "docs/files.md") if text.startswith("schema"))
+    Path("boat.toml").write_text(boat)
+    craft = jm.load_vehicle("boat.toml")
+    t = np.arange(0.0, 30.0, 0.1)
+    speed = {"ahead": 1.0 + 0.5 * np.sin(t), "aside": 0.1 * np.cos(t), "turn": 10.0 * np.sin(0.5 * t)}
+    series = speed | {"left": 0.5 + 0.0 * t, "right": -0.5 + 0.0 * t}
+    lines = [
+        f"{ti} {name} {value}" for name, values in series.items() for ti, value in zip(t, values, strict=True)
+    ]
+    Path("run.lines").write_text("\n".join(lines))
+    columns = {"u": "ahead", "v": "aside", "port": "left", "starboard": "right"}
+    wanted = "\n".join(f'{name} = "{path}"' for name, path in columns.items())
+    Path("map.toml").write_text(f'[columns]\n{wanted}\nr = {{from = "turn", unit = "deg/s"}}\n')
+    log = jm.read_log("run.lines", craft, "map.toml")
+    u, v, r = (log.channels[:, i] for i in (6, 7, 11))
+    np.testing.assert_allclose(u, speed["ahead"], atol=1e-9)
+    np.testing.assert_allclose(v, speed["aside"], atol=1e-9)
+    np.testing.assert_allclose(r, np.deg2rad(speed["turn"]), atol=1e-9)
+    Path("map.toml").write_text('[columns]\nu = "astern"\n')
+    with pytest.raises(jm.InputError, match="has no `astern`; it has ahead, aside, turn, left, right"):
+        jm.read_log("run.lines", craft, "map.toml")
 
 
 def test_the_table_of_the_catalogue_is_that_of_the_code():
@@ -150,7 +204,9 @@ def test_the_room_list_names_what_is_there():
 
 
 def test_the_vehicle_of_the_page_drives_ahead_under_equal_commands(folder):
-    Path("boat.toml").write_text(next(text for text in blocks("toml", "docs/files.md") if text.startswith("schema")))
+    Path("boat.toml").write_text(
+        next(text for text in blocks("toml", "docs/files.md") if text.startswith("schema"))
+    )
     boat = jm.load_vehicle("boat.toml")
     t = np.arange(0.0, 20.0, 0.1)
     log = jm.Log(t, np.full((len(t), 18), np.nan), np.ones((len(t), 2)), None, boat.thruster_names, "-")
