@@ -21,13 +21,14 @@ export JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES ?= -1
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup demo test clean
+.PHONY: help setup demo test docs clean
 
 help:
 	@echo "make demo    diagnose an example log and write demo-report/"
 	@echo "make test    style, types and tests"
+	@echo "make docs    the documentation as a site: site/index.html"
 	@echo "make setup   only install into $(VENV)"
-	@echo "make clean   remove $(VENV), caches and demo-report/"
+	@echo "make clean   remove $(VENV), caches, demo-report/ and site/"
 
 setup: $(STAMP)
 
@@ -48,6 +49,10 @@ test: $(STAMP)
 	$(BIN)/basedpyright
 	$(BIN)/pytest -n 2 --no-loadscope-reorder
 
+# The variable silences an advertisement that counts as no warning.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 clean:
-	rm -rf $(VENV) .cache .hypothesis .pytest_cache .ruff_cache demo-report
+	rm -rf $(VENV) .cache .hypothesis .pytest_cache .ruff_cache demo-report site
 	find jaxmarine experiments tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -94,6 +94,6 @@ def test_the_pages_have_the_numbers_of_the_study():
     assert all(row["false_per_1000"][0] <= 1.0 for row in rows)
     assert all(row["soon_share"][0] >= 0.95 for row in rows if row["step"] >= study.ALONE)
     alone = next(row for row in rows if row["step"] == study.ALONE and not row["heavy"])
-    page = (ROOT / "README.md").read_text()
+    page = (ROOT / "docs" / "fleets.md").read_text()
     assert f"{alone['false_per_1000'][0]:.2f} false alarms in 1000 dives" in page
     assert f"{alone['soon']} of {alone['defects']} defects" in page
