@@ -1,6 +1,7 @@
 from . import control as control
 from . import diagnosis as diagnosis
 from . import effects as effects
+from . import exports as exports
 from . import fitting as fitting
 from . import fleets as fleets
 from . import logs as logs
@@ -15,6 +16,7 @@ from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose
 from .disturbances import RandomWrench as RandomWrench
 from .effects import CATALOGUE as CATALOGUE
+from .exports import export as export
 from .fitting import (
     Check as Check,
 )

@@ -584,6 +584,30 @@ def plan(
     _say(f"Commands: {out}")
 
 
+@app.command(epilog="Example: `jaxmarine export rov.toml --to fmi3 --out rov.fmu`")
+def export(
+    vehicle: Annotated[
+        Path, typer.Argument(help="Vehicle file (TOML).", metavar="VEHICLE", show_default=False)
+    ],
+    to: Annotated[
+        str, typer.Option("--to", help="Format, such as fmi3; a wrong one lists all.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", help="What is written.", show_default=False)],
+) -> None:
+    """Writes the vehicle for another program, and says what that cannot hold."""
+    prepare()
+    from .exports import export as run
+    from .vehicle_io import load_vehicle
+
+    _file(out)
+    craft = load_vehicle(vehicle)
+    with _progress("exporting") as tell:
+        notes = _stoppable(lambda _: run(craft, out, to), tell)
+    for note in notes:
+        _say(f"Left behind: {note}")
+    _say(f"Exported vehicle: {out}")
+
+
 class Kind(StrEnum):
     """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
 
