@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..effects import SensorDelay, SensorEffect
+from ..physics import UNLIMITED
 from ..vehicle import Vehicle
 
 
@@ -29,6 +30,23 @@ def slider(vehicle: Vehicle) -> tuple[str, ...]:
     if vehicle.slider is None:
         return ()
     return (f"The sliding mass `{vehicle.slider.name}` rests where the file has it and has no command.",)
+
+
+def lag(vehicle: Vehicle) -> tuple[str, ...]:
+    """Of targets whose actuators have no state."""
+    drive = vehicle.plant().drive
+    slow = np.asarray(drive.lag) > 0.0
+    if drive.rate is not None:
+        slow = slow | (np.asarray(drive.rate) < UNLIMITED)
+    names = [name for name, one in zip(vehicle.drive_names, slow, strict=True) if one]
+    return (f"Actuators follow at once, without lag or limit of rate: {named(names)}.",) if names else ()
+
+
+def memory(vehicle: Vehicle) -> tuple[str, ...]:
+    """Of targets whose hull has no state beside its motion."""
+    if not vehicle.plant().has_memory:
+        return ()
+    return ("Fluid memory acts at once, as linear damping.",)
 
 
 def named(names: Sequence[str]) -> str:

@@ -71,7 +71,7 @@ class Model(eqx.Module):
     def start(self, position: Vector3, attitude: Vector3, velocity: Velocity, command: Command) -> Flat:
         """The state at a position [m], roll, pitch, yaw [rad] and velocity; the command has acted long."""
         memory = jnp.zeros(6 if self.plant.has_memory else 0)
-        slow = self._asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
+        slow = self.asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
         parts = [position, from_euler(attitude), velocity, memory, slow]
         if self.plant.slider is not None:
             parts.append(jnp.stack([self.plant.slider.travel * command[-1], jnp.zeros(())]))
@@ -83,7 +83,7 @@ class Model(eqx.Module):
         `dt` is at most `longest_step`; a longer hold is cut in parts.
         """
         now, slow, slid = self._parts(state)
-        asked = self._asked(command, dt)
+        asked = self.asked(command, dt)
         before = self._filled(asked.goal[0], slow)[None]
         push = asked.thrust(before)
         slide = None if self.plant.slider is None else self._slide(slid, command, t)
@@ -100,7 +100,7 @@ class Model(eqx.Module):
     def rates(self, state: Flat, command: Command, wrench: Wrench, t: Scalar) -> Flat:
         """The time derivative of the state."""
         now, slow, slid = self._parts(state)
-        goal = self._asked(command, jnp.ones(())).goal[0]
+        goal = self.asked(command, jnp.ones(())).goal[0]
         slide = None if self.plant.slider is None else self._slide(slid, command, t)
         acting = self._filled(goal, slow)
         drive = Input(acting, command[: len(self.columns)], wrench, t, slide=slide)
@@ -127,7 +127,8 @@ class Model(eqx.Module):
         now = State(state[:3], state[3:7], state[7:13], state[13:ends])
         return now, state[ends : ends + len(self.slow)], state[ends + len(self.slow) :]
 
-    def _asked(self, command: Command, dt: Scalar) -> Asked:
+    def asked(self, command: Command, dt: Scalar) -> Asked:
+        """What a command that is held for `dt` seconds asks of the actuators, a row per sample: of one."""
         drive = jax.tree.map(lambda constants: constants[None], self.plant.drive)
         row = command[None, : len(self.columns)]
         return Asked.of(drive, Late(mean=row, slope=jnp.zeros_like(row), now=row), jnp.reshape(dt, (1, 1)))
