@@ -608,6 +608,27 @@ def export(
     _say(f"Exported vehicle: {out}")
 
 
+@app.command(name="import", epilog="Example: `jaxmarine import rov.sdf --out rov.toml`")
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Gazebo world or model (.sdf), or a script of derivatives (.py, .m).",
+            metavar="SOURCE",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Vehicle file (TOML).")] = Path("vehicle.toml"),
+) -> None:
+    """Makes a vehicle file of another program's, and says what it took for granted."""
+    from .imports import import_vehicle
+
+    _file(out)
+    for note in import_vehicle(source, out):
+        _say(f"Note: {note}")
+    _say(f"Vehicle file: {out}")
+
+
 class Kind(StrEnum):
     """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
 

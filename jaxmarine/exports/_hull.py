@@ -11,7 +11,6 @@ import json
 from pathlib import Path
 
 import casadi
-import mujoco
 import numpy as np
 
 # Forward-left-up and north-west-up in MuJoCo, forward-starboard-down and north-east-down in the equations.
@@ -27,14 +26,13 @@ class Hull:
         self._force = casadi.Function.deserialize((folder / "passive.casadi").read_text(encoding="utf-8"))
         joint = model.joint(told["joint"])
         self._pose, self._motion = joint.qposadr[0], joint.dofadr[0]
+        self._body = model.jnt_bodyid[joint.id]
         self._controls = [model.actuator(name).id for name in told["command"]]
 
     def __call__(self, model, data):
         pose = data.qpos[self._pose : self._pose + 7]
         motion = data.qvel[self._motion : self._motion + 6]
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, pose[3:])
-        turn = turn.reshape(3, 3)
+        turn = data.xmat[self._body].reshape(3, 3)
         state = np.concatenate(
             [
                 _FLIP * pose[:3],

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 
 import casadi
-from pythonfmu3 import DefaultExperiment, Float64, Fmi3Causality, Fmi3Slave, Fmi3Variability
+from pythonfmu3 import DefaultExperiment, Float64, Fmi3Causality, Fmi3Slave, Fmi3StepResult, Fmi3Variability
 
 # Where the vehicle begins: position [m] NED, roll, pitch, yaw [rad], body velocities [m/s, rad/s].
 _PARTS = {"position": 3, "attitude": 3, "velocity": 6}
@@ -18,7 +18,7 @@ class MarineVehicle(Fmi3Slave):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        folder = Path(self.resources)
+        folder = Path(str(self.resources))
         told = json.loads((folder / "model.json").read_text(encoding="utf-8"))
         self._functions = {
             name: casadi.Function.deserialize((folder / f"{name}.casadi").read_text(encoding="utf-8"))
@@ -88,4 +88,4 @@ class MarineVehicle(Fmi3Slave):
             state = self._functions["step"](state, command, wrench, current_time + k * part, part)
         self._state = state
         self.time = current_time + step_size
-        return True
+        return Fmi3StepResult()

@@ -100,10 +100,10 @@ def _scanned(params: dict[str, Any], inputs: list[Values]) -> list[Values]:
 
 def _moved(primitive: Any, params: dict[str, Any], inputs: list[Values]) -> list[Values]:
     """Operations that only move entries: done on their places, then the entries are fetched."""
-    moving = [_MOVES[primitive.name] is None or i < _MOVES[primitive.name] for i in range(len(inputs))]
+    count = _MOVES[primitive.name]
     pool, places = [], []
-    for entries, moves in zip(inputs, moving, strict=True):
-        if moves:
+    for i, entries in enumerate(inputs):
+        if count is None or i < count:
             begin = sum(map(len, pool))
             pool.append(np.ravel(np.asarray(entries, object)))
             places.append((begin + np.arange(pool[-1].size)).reshape(np.shape(entries)))

@@ -1,8 +1,8 @@
 """Gazebo SDF: a world with water and the vehicle, by the plug-ins Hydrodynamics, Buoyancy and Thruster.
 
 Axes are forward-left-up. Damping stands in the plug-in with negative signs, added mass once, as
-`<fluid_added_mass>` (positive, about the link's origin), so that the plug-in's own is turned off. A thruster is
-told its thrust [N].
+`<fluid_added_mass>` (positive, about the link's origin), so that the plug-in's own is turned off. A thruster
+is told its thrust [N].
 """
 
 import itertools
