@@ -11,6 +11,8 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -34,6 +36,7 @@ from jaxmarine.effects import (
 )
 from jaxmarine.exports import FORMATS, export
 from jaxmarine.logs import Log
+from jaxmarine.networks import mlp_damping
 from jaxmarine.physics import Slider
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Vehicle
@@ -49,13 +52,18 @@ ROUNDING = 1e-9
 
 
 def remembering() -> Vehicle:
-    """An ROV with slow thrusters, a dead zone, fluid memory and a current."""
+    """An ROV with slow thrusters, a dead zone, fluid memory, a current and a learned damping."""
     vehicle = packaged("tethra")
     one = jnp.ones_like(vehicle.thrusters.lag)
     thrusters = dataclasses.replace(vehicle.thrusters, lag=0.3 * one, deadband=0.05 * one)
     memory = Placed(FluidMemory(jnp.full(6, 20.0), jnp.full(6, 0.8)))
     current = Placed(SteadyCurrent(jnp.asarray(0.2), jnp.asarray(-0.1), jnp.asarray(0.0)), since=-1.0)
-    return dataclasses.replace(vehicle, thrusters=thrusters).place(memory, current)
+    axes = ("surge", "sway", "yaw")
+    network = mlp_damping(axes, np.full(3, 0.8), np.full(3, 20.0), jax.random.key(0))
+    weights = network.network.layers[-1].weight
+    # As if it had been fitted: the last layer begins at zero.
+    network = eqx.tree_at(lambda n: n.network.layers[-1].weight, network, 0.5 * jnp.ones_like(weights))
+    return dataclasses.replace(vehicle, thrusters=thrusters).place(memory, current, Placed(network))
 
 
 def sliding() -> Vehicle:
@@ -122,8 +130,9 @@ np.savez(sys.argv[3], rows=rows, slope=slope)
 """
 
 
-def test_stablehlo_runs_without_jaxmarine(tmp_path):
-    vehicle, commands, start, track = driven("sliding")
+@pytest.mark.parametrize("name", ["remembering", pytest.param("sliding", marks=pytest.mark.slow)])
+def test_stablehlo_runs_without_jaxmarine(name, tmp_path):
+    vehicle, commands, start, track = driven(name)
     export(vehicle, tmp_path / "model.zip", "stablehlo")
     np.savez(tmp_path / "given.npz", t=T, commands=commands, start=start)
     paths = [str(tmp_path / one) for one in ("model.zip", "given.npz", "got.npz")]
@@ -133,7 +142,9 @@ def test_stablehlo_runs_without_jaxmarine(tmp_path):
     assert np.abs(got["slope"]).max() > 0.0
 
 
-@pytest.mark.parametrize("name", ["remembering", "kvlcc2"])
+@pytest.mark.parametrize(
+    "name", ["remembering", *(pytest.param(name, marks=pytest.mark.slow) for name in ("kvlcc2", "remus100"))]
+)
 def test_casadi_steps_as_simulate(name, tmp_path):
     import casadi
 
@@ -212,7 +223,7 @@ def test_a_missing_package_is_said(tmp_path, monkeypatch):
 def test_mujoco_moves_the_hull_as_simulate(tmp_path):
     import mujoco
 
-    vehicle, commands, start, track = driven("tethra")
+    vehicle, commands, start, track = driven("simple")
     export(vehicle, tmp_path / "model.zip", "mujoco")
     with zipfile.ZipFile(tmp_path / "model.zip") as archive:
         archive.extractall(tmp_path)
@@ -241,15 +252,17 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path):
 
 
 def forgetful() -> Vehicle:
-    """`remembering` without memory, more damped: what plain parameters can hold."""
+    """`remembering` without memory and learned terms, more damped: what plain parameters can hold."""
     vehicle = remembering()
+    current = vehicle.placed[1]
     more = Placed(LinearDamping(jnp.asarray([5.0, 4.0, 3.0, 0.2, 0.3, 0.4])))
     push = Placed(ConstantWrench(jnp.asarray([1.0, -2.0, 0.5, 0.1, 0.0, 0.2])))
-    return dataclasses.replace(vehicle, placed=(vehicle.placed[1], more, push))
+    return dataclasses.replace(vehicle, placed=(current, more, push))
 
 
-def test_the_module_for_python_vehicle_simulator_moves_as_simulate(tmp_path):
-    vehicle, commands, start, track = driven("forgetful")
+@pytest.mark.parametrize("name", ["simple", pytest.param("forgetful", marks=pytest.mark.slow)])
+def test_the_module_for_python_vehicle_simulator_moves_as_simulate(name, tmp_path):
+    vehicle, commands, start, track = driven(name)
     notes = export(vehicle, tmp_path / "rov.py", "pvs")
     written = (tmp_path / "rov.py").read_text(encoding="utf-8")
     assert all(note in written for note in notes)
@@ -278,7 +291,8 @@ def test_the_module_for_python_vehicle_simulator_moves_as_simulate(tmp_path):
 def test_plain_parameters_say_what_they_lack(tmp_path):
     said = " ".join(export(packaged("kvlcc2"), tmp_path / "ship.py", "pvs"))
     assert "Propellers are left out: prop" in said and "Control surfaces" in said
-    assert "Fluid memory acts at once" in " ".join(export(remembering(), tmp_path / "rov.py", "pvs"))
+    said = " ".join(export(remembering(), tmp_path / "rov.py", "pvs"))
+    assert "Fluid memory acts at once" in said and "left out: `mlp_damping`" in said
 
 
 def simple() -> Vehicle:

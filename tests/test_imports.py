@@ -130,5 +130,8 @@ def test_a_script_without_a_vehicle_is_said(tmp_path):
     (tmp_path / "plot.py").write_text("x = 1\n")
     with pytest.raises(InputError, match=r"no lines such as `m = 11.5`"):
         import_vehicle(tmp_path / "plot.py", tmp_path / "boat.toml")
+    (tmp_path / "otter.py").write_text("m = 55\nXudot = -5\nIg = m * other\n")
+    with pytest.raises(InputError, match="no inertia that can be worked out"):
+        import_vehicle(tmp_path / "otter.py", tmp_path / "boat.toml")
     with pytest.raises(InputError, match=r"known are \.m, \.py, \.sdf, \.world"):
         import_vehicle(tmp_path / "boat.step", tmp_path / "boat.toml")

@@ -100,20 +100,21 @@ def _scanned(params: dict[str, Any], inputs: list[Values]) -> list[Values]:
 
 def _moved(primitive: Any, params: dict[str, Any], inputs: list[Values]) -> list[Values]:
     """Operations that only move entries: done on their places, then the entries are fetched."""
-    count = _MOVES[primitive.name]
+    which = _MOVES[primitive.name]
     pool, places = [], []
     for i, entries in enumerate(inputs):
-        if count is None or i < count:
+        if which is None or i in which:
             begin = sum(map(len, pool))
             pool.append(np.ravel(np.asarray(entries, object)))
-            places.append((begin + np.arange(pool[-1].size)).reshape(np.shape(entries)))
+            # Places as floats, since operations may know the type of their entries.
+            places.append((begin + np.arange(pool[-1].size, dtype=float)).reshape(np.shape(entries)))
         else:
             places.append(entries)
     out = primitive.bind(*places, **params)
     every = np.concatenate(pool)
     return [
         # By a list of places, as a single one would fetch the entry without its array.
-        every[np.ravel(one)].reshape(np.shape(one))
+        every[np.ravel(one).astype(int)].reshape(np.shape(one))
         for one in (out if primitive.multiple_results else [out])
     ]
 
@@ -194,22 +195,24 @@ _EACH: dict[str, Callable[..., Values]] = {
     **{one: _each(getattr(_ca, one), 2) for one in _OF_TWO},
     **{one: _each(getattr(_ca, one), 1) for one in _OF_ONE},
 }
-# How many of the operands move, from the first on; the others say where to. None: all.
-_MOVES: dict[str, int | None] = {
-    "broadcast_in_dim": 1,
-    "reshape": 1,
-    "squeeze": 1,
-    "expand_dims": 1,
-    "transpose": 1,
-    "slice": 1,
-    "rev": 1,
+# Which of the operands move; the others say where to. None: all.
+_MOVES: dict[str, tuple[int, ...] | None] = {
+    "broadcast_in_dim": (0,),
+    "reshape": (0,),
+    "squeeze": (0,),
+    "expand_dims": (0,),
+    "transpose": (0,),
+    "slice": (0,),
+    "rev": (0,),
     "concatenate": None,
     "stack": None,
-    "unstack": 1,
-    "split": 1,
-    "gather": 1,
-    "dynamic_slice": 1,
+    "unstack": (0,),
+    "split": (0,),
+    "gather": (0,),
+    "dynamic_slice": (0,),
     "pad": None,
+    "scatter": (0, 2),
+    "dynamic_update_slice": (0, 1),
 }
 _RULES: dict[str, Callable[..., Values]] = {
     "convert_element_type": lambda a, params: a,

@@ -1,9 +1,9 @@
 """Scripts of PythonVehicleSimulator's and MSS' kind (Python, Matlab): derivatives by their names.
 
 Nothing is run: lines `name = arithmetic` of numbers and earlier names are worked out, all others passed over.
-Derivatives have the signs of SNAME (1950), negative where they brake: `Xudot`, `Yr`, `Nrr` or `N_r_abs_r`. The
-rest of a vehicle is `m`, `Ig` (3x3 or its diagonal, about the centre of gravity) or `Ix Iy Iz`, `rg`, `rb`,
-`W`, `B`, `rho`, `g`.
+Derivatives have the signs of SNAME (1950), negative where they brake: `Xudot`, `Yr`, `Nrr` or `N_r_abs_r`.
+The rest of a vehicle is `m`, `Ig` (3x3 or its diagonal, about the centre of gravity) or `Ix Iy Iz`, `rg`,
+`rb`, `W`, `B`, `rho`, `g`.
 """
 
 import ast
@@ -43,11 +43,14 @@ def read(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     notes: list[str] = []
     failed = [name for name in failed if _DERIVATIVE.fullmatch(name) or name in _OF_BODY]
     if failed:
-        notes.append(f"These lines are no arithmetic of known numbers and are left out: {', '.join(failed)}.")
+        notes.append(
+            f"These lines are no arithmetic of known numbers and are passed over: {', '.join(failed)}."
+        )
 
     def given(name: str, default: Any, said: str) -> np.ndarray:
         for one in _NAMES.get(name, (name,)):
-            if one in known:
+            # `B` is also what many call their matrix of inputs.
+            if one in known and (np.size(known[one]) == 1) == (np.size(default) == 1):
                 return np.asarray(known[one], float)
         if said:
             notes.append(f"`{name}` is not given: {said}.")
@@ -66,6 +69,8 @@ def read(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     cob = given("rb", np.zeros(3), "the centre of buoyancy is taken to be the origin")
     moments = [known.get(f"I{a}", known.get(f"I{a}{a}", 0.0)) for a in "xyz"]
     inertia = given("Ig", moments, "")
+    if not np.any(inertia):
+        raise InputError(f"{path}: has no inertia that can be worked out; write `Ig` as numbers about `rg`.")
     inertia = np.diag(inertia.ravel()) if inertia.size == 3 else inertia
     if inertia.shape != (3, 3) or cog.shape != (3,) or cob.shape != (3,):
         raise InputError(f"{path}: `Ig` must be 3x3 or 3 numbers, `rg` and `rb` 3 numbers; correct them.")
@@ -107,7 +112,7 @@ def _matrices(known: dict[str, Any]) -> tuple[np.ndarray, list[str]]:
 
 
 def _worked_out(text: str) -> tuple[dict[str, Any], list[str]]:
-    """Names and their numbers, the last one where a name is given twice, and names that have none."""
+    """Names and their last numbers, and names of lines that could not be worked out."""
     known: dict[str, Any] = {"pi": math.pi}
     failed: list[str] = []
     for line in text.splitlines():
@@ -119,10 +124,9 @@ def _worked_out(text: str) -> tuple[dict[str, Any], list[str]]:
             if np.isfinite(value).all():
                 known[match[1]] = value
         except (SyntaxError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError, MemoryError):
-            # Some other line of a program; what it would have set is no longer known.
-            known.pop(match[1], None)
+            # Some other line of a program, often within a function, whose names are its own.
             failed.append(match[1])
-    return known, [name for name in dict.fromkeys(failed) if name not in known]
+    return known, list(dict.fromkeys(failed))
 
 
 def _pythonic(text: str) -> str:
