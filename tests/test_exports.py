@@ -24,6 +24,7 @@ from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.cli import app
 from jaxmarine.effects import (
+    CATALOGUE,
     ConstantWrench,
     CoupledAddedMass,
     CoupledDamping,
@@ -33,10 +34,12 @@ from jaxmarine.effects import (
     LinearDamping,
     Payload,
     SteadyCurrent,
+    place,
 )
 from jaxmarine.exports import FORMATS, export
+from jaxmarine.exports.casadi import functions
 from jaxmarine.logs import Log
-from jaxmarine.networks import mlp_damping
+from jaxmarine.networks import learned_thrust, learned_wrench, mlp_damping, rbf_damping
 from jaxmarine.physics import Slider
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Vehicle
@@ -125,7 +128,7 @@ def run(state, inputs):
 
 
 _, rows = run(first, (T, commands))
-slope = jax.jit(jax.grad(lambda command: step(first, command, none, 0.0, dt)[7]))(commands[0])
+slope = jax.grad(lambda state: shown(state)[2])(first)
 np.savez(sys.argv[3], rows=rows, slope=slope)
 """
 
@@ -139,7 +142,7 @@ def test_stablehlo_runs_without_jaxmarine(name, tmp_path):
     subprocess.run([sys.executable, "-c", _ALONE, *paths], check=True, cwd=tmp_path)
     got = np.load(tmp_path / "got.npz")
     assert np.abs(got["rows"] - track).max() < ROUNDING
-    assert np.abs(got["slope"]).max() > 0.0
+    assert np.array_equal(got["slope"], np.eye(len(got["slope"]))[2])  # of the depth
 
 
 @pytest.mark.parametrize(
@@ -392,3 +395,26 @@ def test_the_world_for_gazebo_moves_by_its_documentation_as_simulate(tmp_path):
 def test_gazebo_has_no_locked_axes(tmp_path):
     with pytest.raises(InputError, match="locked in heave"):
         export(packaged("kvlcc2"), tmp_path / "ship.sdf", "sdf")
+
+
+@pytest.mark.slow
+def test_every_effect_of_the_catalogue_is_written_as_expressions():
+    vehicle = packaged("tethra")
+    names, rng = vehicle.thruster_names, np.random.default_rng(0)
+    for effect in CATALOGUE:
+        for suspect in effect.suspects(vehicle)[:1]:
+            values = dict.fromkeys(suspect.slots, 0.05)
+            vehicle = vehicle.place(Placed(place(suspect, vehicle, values), suspect.target))
+    wrench = learned_wrench("heave", ("w", "q"), names, -np.ones(2), np.ones(2), 5.0, jax.random.key(1))
+    speeds = rng.normal(size=(40, 2))
+    steady = rbf_damping(("surge", "yaw"), speeds, speeds * np.abs(speeds), np.zeros(40, int), 5)
+    for term in (wrench, steady, learned_thrust(names, -np.ones(4), np.ones(4))):
+        noise = jax.tree.map(lambda a: a + 0.1 * rng.normal(size=a.shape), term)
+        vehicle = vehicle.place(Placed(noise))
+    model, made = functions(vehicle)
+    state = rng.normal(size=len(model.state_names))
+    state[3:7] = 0.9, 0.1, -0.3, 0.3
+    state[3:7] /= np.linalg.norm(state[3:7])
+    given = (state, rng.uniform(-0.8, 0.8, len(names)), rng.normal(size=6), 1.3)
+    exact = np.asarray(jax.jit(lambda *a: model.rates(*a))(*map(jnp.asarray, given)))
+    assert np.allclose(made["rates"](*given).full().ravel(), exact, rtol=1e-9, atol=1e-9)

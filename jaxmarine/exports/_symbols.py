@@ -131,12 +131,13 @@ def _each(function: Callable[..., Any], inputs: int) -> Callable[..., Values]:
     return call
 
 
-def _sum(entries: Values, params: dict[str, Any]) -> Values:
-    axes = params["axes"]
+def _reduced(join: Callable[..., Values], entries: Values, axes: Sequence[int], none: float) -> Values:
+    """What `join` makes of the entries along some axes; `none` where there are none."""
     rest = [i for i in range(entries.ndim) if i not in axes]
     count = math.prod(entries.shape[i] for i in axes)
     flat = np.transpose(entries, [*rest, *axes]).reshape([*(entries.shape[i] for i in rest), count])
-    return functools.reduce(_ADD, [flat[..., i] for i in range(count)], np.zeros(flat.shape[:-1], object))
+    columns = [flat[..., i] for i in range(count)]
+    return functools.reduce(join, columns) if columns else np.full(flat.shape[:-1], none, object)
 
 
 def _product(a: Values, b: Values, params: dict[str, Any]) -> Values:
@@ -151,7 +152,7 @@ def _product(a: Values, b: Values, params: dict[str, Any]) -> Values:
     second = np.transpose(b, [*batch_b, *left_b, *sum_b])
     second = second.reshape([*batch, *(1 for _ in left_a), *(b.shape[i] for i in left_b), count])
     products = _each(_times, 2)(first, second)
-    return _sum(products, {"axes": (products.ndim - 1,)})
+    return _reduced(_ADD, products, (products.ndim - 1,), 0.0)
 
 
 def _times(a: Any, b: Any) -> Any:
@@ -217,6 +218,9 @@ _MOVES: dict[str, tuple[int, ...] | None] = {
 _RULES: dict[str, Callable[..., Values]] = {
     "convert_element_type": lambda a, params: a,
     "integer_pow": lambda a, params: _each(lambda one: one ** params["y"], 1)(a),
-    "reduce_sum": _sum,
+    "reduce_sum": lambda a, params: _reduced(_ADD, a, params["axes"], 0.0),
+    "reduce_prod": lambda a, params: _reduced(_EACH["mul"], a, params["axes"], 1.0),
+    "reduce_max": lambda a, params: _reduced(_EACH["max"], a, params["axes"], -math.inf),
+    "reduce_min": lambda a, params: _reduced(_EACH["min"], a, params["axes"], math.inf),
     "dot_general": _product,
 }
