@@ -584,14 +584,16 @@ def plan(
     _say(f"Commands: {out}")
 
 
+# Listed by name, as loading `exports` loads the compiler.
+_FORMATS = sorted(one.stem for one in (Path(__file__).parent / "exports").glob("[a-z]*.py"))
+
+
 @app.command(epilog="Example: `jaxmarine export rov.toml --to fmi3 --out rov.fmu`")
 def export(
     vehicle: Annotated[
         Path, typer.Argument(help="Vehicle file (TOML).", metavar="VEHICLE", show_default=False)
     ],
-    to: Annotated[
-        str, typer.Option("--to", help="Format, such as fmi3; a wrong one lists all.", show_default=False)
-    ],
+    to: Annotated[str, typer.Option("--to", help=f"Format: {', '.join(_FORMATS)}.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="What is written.", show_default=False)],
 ) -> None:
     """Writes the vehicle for another program, and says what that cannot hold."""

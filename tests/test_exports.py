@@ -218,7 +218,7 @@ def test_the_command_line_exports_and_says_what_is_wrong(tmp_path):
 
 
 def test_a_missing_package_is_said(tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxmarine.exports.casadi.NEEDS", "no_such_package")
+    monkeypatch.setattr("jaxmarine.exports.casadi.NEEDS", ("no_such_package",))
     with pytest.raises(InputError, match=r"needs the package no_such_package.*jaxmarine\[exports\]"):
         export(packaged("tethra"), tmp_path / "x", "casadi")
 

@@ -1,6 +1,6 @@
 """Vehicles for other programs: one module per format, named as it, with three names.
 
-- `NEEDS`: the module that must be installed for it (extra `exports`), or None.
+- `NEEDS`: the packages that must be installed for it (extra `exports`).
 - `lost(vehicle)`: what the format cannot hold, a sentence each; `InputError` where it cannot hold the
   vehicle.
 - `write(vehicle, path, notes)`: writes it, those sentences included.
@@ -28,7 +28,7 @@ FORMATS: tuple[str, ...] = tuple(
 class Format(Protocol):
     """What each of the modules has."""
 
-    NEEDS: str | None
+    NEEDS: tuple[str, ...]
 
     def lost(self, vehicle: Vehicle) -> tuple[str, ...]: ...
     def write(self, vehicle: Vehicle, path: Path, notes: Sequence[str]) -> None: ...
@@ -45,9 +45,10 @@ def export(vehicle: Vehicle, path: str | os.PathLike[str], to: str) -> tuple[str
     if to not in FORMATS:
         raise InputError(f"Format `{to}` is not known; {did_you_mean(to, FORMATS)}")
     form = cast(Format, import_module(f".{to}", __name__))
-    if form.NEEDS is not None and util.find_spec(form.NEEDS) is None:
+    missing = [package for package in form.NEEDS if util.find_spec(package) is None]
+    if missing:
         raise InputError(
-            f"Format `{to}` needs the package {form.NEEDS}, which is not installed; run "
+            f"Format `{to}` needs the package {missing[0]}, which is not installed; run "
             "`pip install 'jaxmarine[exports]'`."
         )
     notes = form.lost(vehicle)

@@ -11,7 +11,7 @@ from ..vehicle import Vehicle
 from . import _lost
 from ._model import SHOWN, Model
 
-NEEDS = "casadi"
+NEEDS = ("casadi",)
 
 
 def lost(vehicle: Vehicle) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from ..vehicle import Vehicle
 from .casadi import described, functions
 from .casadi import lost as lost
 
-NEEDS = "pythonfmu3"
+NEEDS = ("casadi", "pythonfmu3")
 # FMUs are named by what they are told in C, where a name is letters, digits and underscores.
 _FOREIGN = re.compile(r"\W|^(?=\d)", re.ASCII)
 

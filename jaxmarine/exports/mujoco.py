@@ -17,7 +17,7 @@ from ..vehicle import Input, State, Vehicle
 from . import _lost
 from ._model import Command, Model
 
-NEEDS = "casadi"
+NEEDS = ("casadi",)
 # [s]; a classical Runge-Kutta step of a craft that lives a tenth of a second and longer.
 _TIMESTEP = 0.01
 _FLIP = np.array([1.0, -1.0, -1.0])

@@ -11,7 +11,7 @@ from .._files import written_whole
 from ..vehicle import Vehicle
 from . import _plain
 
-NEEDS = None
+NEEDS = ()
 _FOREIGN = re.compile(r"\W|^(?=\d)", re.ASCII)
 
 

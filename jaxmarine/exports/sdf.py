@@ -19,7 +19,7 @@ from .._types import DOFS
 from ..vehicle import Vehicle
 from . import _lost, _plain
 
-NEEDS = None
+NEEDS = ()
 _FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 _FORCES, _VELOCITIES, _ADDED = "xyzkmn", "UVWPQR", "xyzpqr"
 # Of what turns in a thruster, which Gazebo wants to be a body [kg, kg m²]: too light to be felt.
@@ -43,6 +43,7 @@ def lost(vehicle: Vehicle) -> tuple[str, ...]:
     if np.any(plain.wrench):
         out.append("The constant wrench is left out.")
     out.append("The hull collides as a ball of its displaced volume; give it its shape.")
+    out.append("The equations are those of the plug-ins' documentation; this file was not run in Gazebo.")
     return tuple(out)
 
 

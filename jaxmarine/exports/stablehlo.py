@@ -15,7 +15,7 @@ from ..vehicle import Vehicle
 from . import _lost
 from ._model import SHOWN, Model
 
-NEEDS = "flatbuffers"
+NEEDS = ("flatbuffers",)
 # Programs of one description run on either.
 _PLATFORMS = ("cpu", "cuda")
 
