@@ -1,8 +1,10 @@
 from . import control as control
 from . import diagnosis as diagnosis
 from . import effects as effects
+from . import exports as exports
 from . import fitting as fitting
 from . import fleets as fleets
+from . import imports as imports
 from . import logs as logs
 from . import networks as networks
 from . import physics as physics
@@ -15,6 +17,7 @@ from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose
 from .disturbances import RandomWrench as RandomWrench
 from .effects import CATALOGUE as CATALOGUE
+from .exports import export as export
 from .fitting import (
     Check as Check,
 )
@@ -44,6 +47,7 @@ from .fitting import (
 )
 from .fleets import Fleet as Fleet
 from .fleets import fleet as fleet
+from .imports import import_vehicle as import_vehicle
 from .logs import Log as Log
 from .logs import read_columns as read_columns
 from .logs import read_log as read_log

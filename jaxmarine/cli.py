@@ -584,6 +584,53 @@ def plan(
     _say(f"Commands: {out}")
 
 
+# Listed by name, as loading `exports` loads the compiler.
+_FORMATS = sorted(one.stem for one in (Path(__file__).parent / "exports").glob("[a-z]*.py"))
+
+
+@app.command(epilog="Example: `jaxmarine export rov.toml --to fmi3 --out rov.fmu`")
+def export(
+    vehicle: Annotated[
+        Path, typer.Argument(help="Vehicle file (TOML).", metavar="VEHICLE", show_default=False)
+    ],
+    to: Annotated[str, typer.Option("--to", help=f"Format: {', '.join(_FORMATS)}.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="What is written.", show_default=False)],
+) -> None:
+    """Writes the vehicle for another program, and says what that cannot hold."""
+    prepare()
+    from .exports import export as run
+    from .vehicle_io import load_vehicle
+
+    _file(out)
+    craft = load_vehicle(vehicle)
+    with _progress("exporting") as tell:
+        notes = _stoppable(lambda _: run(craft, out, to), tell)
+    for note in notes:
+        _say(f"Left behind: {note}")
+    _say(f"Exported vehicle: {out}")
+
+
+@app.command(name="import", epilog="Example: `jaxmarine import rov.sdf --out rov.toml`")
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Gazebo world or model (.sdf), or a script of derivatives (.py, .m).",
+            metavar="SOURCE",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Vehicle file (TOML).")] = Path("vehicle.toml"),
+) -> None:
+    """Makes a vehicle file of another program's, and says what it took for granted."""
+    from .imports import import_vehicle
+
+    _file(out)
+    for note in import_vehicle(source, out):
+        _say(f"Note: {note}")
+    _say(f"Vehicle file: {out}")
+
+
 class Kind(StrEnum):
     """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
 

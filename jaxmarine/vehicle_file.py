@@ -448,10 +448,14 @@ def read_vehicle_file(
     return file
 
 
-def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str]) -> None:
-    """Write the file as TOML, whole or not at all; every number keeps all its digits."""
+def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str], head: Iterable[str] = ()) -> None:
+    """Write the file as TOML, whole or not at all; every number keeps all its digits.
+
+    - `head`: comments before the first key.
+    """
+    comments = "".join(f"# {' '.join(line.split())}\n" for line in head)
     with written_whole(path) as beside:
-        Path(beside).write_text(_toml(file), encoding="utf-8")
+        Path(beside).write_text(comments + _toml(file), encoding="utf-8")
 
 
 def _toml(file: VehicleFile) -> str:

@@ -1,0 +1,148 @@
+"""The equations of a vehicle as functions of plain vectors, from which targets that take code are made.
+
+    state = (x y z, quaternion w x y z, u v w p q r, memory, slow actuators, offset and rate of the slider)
+
+Positions are north-east-down [m], the rest body axes at `o`, SI units and radians. `memory` is the velocity
+through the water as fluid memory lags it (6 numbers, or none); slow actuators are those with a lag or a
+limited rate, in thrust [N], shaft speed [rev/s] or angle [rad]. All effects act, from the beginning; sensors
+show what is.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._types import ATTITUDE, POSITION, RATE, VELOCITY, Scalar, Vector3, Velocity, Wrench
+from ..physics import UNLIMITED, Asked, Late, Slide, from_euler, to_euler
+from ..simulation import hold, substeps
+from ..vehicle import Input, Plant, State, Vehicle
+
+Flat = Float[Array, " numbers"]
+Command = Float[Array, " columns"]
+
+# What `shown` gives.
+SHOWN = POSITION + ATTITUDE + VELOCITY + RATE
+
+
+class Model(eqx.Module):
+    """A vehicle with all its constants summed, so that no target has to invert its mass matrix.
+
+    - `slides`: whether the sliding mass moves; else it rests where the file has it.
+    """
+
+    plant: Plant
+    command_names: tuple[str, ...] = eqx.field(static=True)
+    columns: tuple[str, ...] = eqx.field(static=True)
+    slow: tuple[int, ...] = eqx.field(static=True)
+    longest_step: float = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, slides: bool = True) -> "Model":
+        plant = vehicle.plant()
+        if not slides and plant.slider is not None:
+            plant = eqx.tree_at(lambda p: p.slider, plant, None)
+        drive = plant.drive
+        slow = np.asarray(drive.lag) > 0.0
+        if drive.rate is not None:
+            slow = slow | (np.asarray(drive.rate) < UNLIMITED)
+        return cls(
+            plant=plant,
+            command_names=vehicle.command_names if slides else vehicle.drive_names,
+            columns=vehicle.drive_names,
+            slow=tuple(np.flatnonzero(slow).tolist()),
+            # The step below which `simulate` cuts no hold in two.
+            longest_step=1.0 / substeps(vehicle, 1.0),
+        )
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """What each number of the state is."""
+        memory = tuple(f"memory_{name}" for name in VELOCITY + RATE) if self.plant.has_memory else ()
+        slow = tuple(f"actual_{self.columns[i]}" for i in self.slow)
+        slider = (
+            ()
+            if self.plant.slider is None
+            else tuple(f"{self.plant.slider.name}_{one}" for one in ("offset", "rate"))
+        )
+        return (*POSITION, "q_w", "q_x", "q_y", "q_z", *VELOCITY, *RATE, *memory, *slow, *slider)
+
+    def start(self, position: Vector3, attitude: Vector3, velocity: Velocity, command: Command) -> Flat:
+        """The state at a position [m], roll, pitch, yaw [rad] and velocity; the command has acted long."""
+        memory = jnp.zeros(6 if self.plant.has_memory else 0)
+        slow = self.asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
+        parts = [position, from_euler(attitude), velocity, memory, slow]
+        if self.plant.slider is not None:
+            parts.append(jnp.stack([self.plant.slider.travel * command[-1], jnp.zeros(())]))
+        return jnp.concatenate(parts)
+
+    def step(self, state: Flat, command: Command, wrench: Wrench, t: Scalar, dt: Scalar) -> Flat:
+        """The state `dt` seconds after `t`, command and wrench held, by one step of `simulate`.
+
+        `dt` is at most `longest_step`; a longer hold is cut in parts.
+        """
+        now, slow, slid = self._parts(state)
+        asked = self.asked(command, dt)
+        before = self._filled(asked.goal[0], slow)[None]
+        push = asked.thrust(before)
+        slide = None if self.plant.slider is None else self._slide(slid, command, t)
+        drive = Input(
+            push.mean[0], command[: len(self.columns)], wrench, t, push.slope[0], t + 0.5 * dt, slide
+        )
+        after = hold(self.plant, now, drive, dt)
+        parts = [after.position, after.attitude, after.velocity, after.memory]
+        parts.append(asked.after(before)[0][np.array(self.slow, int)])
+        if slide is not None:
+            parts.append(jnp.stack(slide(t + dt)[:2]))
+        return jnp.concatenate(parts)
+
+    def rates(self, state: Flat, command: Command, wrench: Wrench, t: Scalar) -> Flat:
+        """The time derivative of the state."""
+        now, slow, slid = self._parts(state)
+        goal = self.asked(command, jnp.ones(())).goal[0]
+        slide = None if self.plant.slider is None else self._slide(slid, command, t)
+        acting = self._filled(goal, slow)
+        drive = Input(acting, command[: len(self.columns)], wrench, t, slide=slide)
+        rates = self.plant.rates(now, drive)
+        parts = [rates.position, rates.attitude, rates.velocity, rates.memory]
+        which, limit = np.array(self.slow, int), self.plant.drive.rate
+        # What is limited in its rate alone follows within this [s].
+        change = (goal[which] - slow) / np.maximum(np.asarray(self.plant.drive.lag)[which], 1e-3)
+        if limit is not None:
+            change = jnp.clip(change, -limit[which], limit[which])
+        parts.append(change)
+        if slide is not None:
+            parts.append(jnp.stack(slide(t)[1:]))
+        return jnp.concatenate(parts)
+
+    def shown(self, state: Flat) -> Float[Array, "12"]:
+        """Position [m], roll, pitch, yaw [rad] and velocity, as `SHOWN` names them."""
+        now = self._parts(state)[0]
+        return jnp.concatenate([now.position, to_euler(now.attitude), now.velocity])
+
+    def _parts(self, state: Flat) -> tuple[State, Array, Array]:
+        """The vehicle's state, that of slow actuators, and that of the slider."""
+        ends = 13 + 6 * self.plant.has_memory
+        now = State(state[:3], state[3:7], state[7:13], state[13:ends])
+        return now, state[ends : ends + len(self.slow)], state[ends + len(self.slow) :]
+
+    def asked(self, command: Command, dt: Scalar) -> Asked:
+        """What a command that is held for `dt` seconds asks of the actuators, a row per sample: of one."""
+        drive = jax.tree.map(lambda constants: constants[None], self.plant.drive)
+        row = command[None, : len(self.columns)]
+        return Asked.of(drive, Late(mean=row, slope=jnp.zeros_like(row), now=row), jnp.reshape(dt, (1, 1)))
+
+    def _filled(self, goal: Command, slow: Array) -> Command:
+        """What acts per column: of slow actuators their state, of others what is asked."""
+        place = {column: k for k, column in enumerate(self.slow)}
+        return (
+            jnp.stack([slow[place[i]] if i in place else goal[i] for i in range(len(self.columns))])
+            if place
+            else goal
+        )
+
+    def _slide(self, slid: Float[Array, "2"], command: Command, t: Scalar) -> Slide:
+        slider = self.plant.slider
+        assert slider is not None
+        return Slide(slid[0], slid[1], slider.travel * command[-1], t, slider.time_constant)

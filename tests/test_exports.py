@@ -1,0 +1,420 @@
+"""Exported vehicles, run by the programs that they are for, against `simulate` under the same commands."""
+
+import dataclasses
+import functools
+import importlib.util
+import itertools
+import json
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from jaxmarine._errors import InputError
+from jaxmarine._types import CHANNELS
+from jaxmarine.cli import app
+from jaxmarine.effects import (
+    CATALOGUE,
+    ConstantWrench,
+    CoupledAddedMass,
+    CoupledDamping,
+    FluidMemory,
+    GyroBias,
+    InputDelay,
+    LinearDamping,
+    Payload,
+    SteadyCurrent,
+    place,
+)
+from jaxmarine.exports import FORMATS, export
+from jaxmarine.exports.casadi import functions
+from jaxmarine.logs import Log
+from jaxmarine.networks import learned_thrust, learned_wrench, mlp_damping, rbf_damping
+from jaxmarine.physics import Slider
+from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle import Placed, Vehicle
+from jaxmarine.vehicle_io import packaged_vehicle
+from tests.crafts import packaged
+
+# Steps that `simulate` does not cut for any of these craft.
+T = np.arange(0.0, 5.0, 0.05)
+
+
+# All targets here take the same steps as `simulate`; what remains is rounding.
+ROUNDING = 1e-9
+
+
+def remembering() -> Vehicle:
+    """An ROV with slow thrusters, a dead zone, fluid memory, a current and a learned damping."""
+    vehicle = packaged("tethra")
+    one = jnp.ones_like(vehicle.thrusters.lag)
+    thrusters = dataclasses.replace(vehicle.thrusters, lag=0.3 * one, deadband=0.05 * one)
+    memory = Placed(FluidMemory(jnp.full(6, 20.0), jnp.full(6, 0.8)))
+    current = Placed(SteadyCurrent(jnp.asarray(0.2), jnp.asarray(-0.1), jnp.asarray(0.0)), since=-1.0)
+    axes = ("surge", "sway", "yaw")
+    network = mlp_damping(axes, np.full(3, 0.8), np.full(3, 20.0), jax.random.key(0))
+    weights = network.network.layers[-1].weight
+    # As if it had been fitted: the last layer begins at zero.
+    network = eqx.tree_at(lambda n: n.network.layers[-1].weight, network, 0.5 * jnp.ones_like(weights))
+    return dataclasses.replace(vehicle, thrusters=thrusters).place(memory, current, Placed(network))
+
+
+def sliding() -> Vehicle:
+    """The same with a mass that slides fore and aft."""
+    ahead = jnp.array([1.0, 0.0, 0.0])
+    slider = Slider(
+        jnp.asarray(4.0), 0.1 * ahead, ahead, jnp.asarray(0.3), jnp.asarray(0.5), name="trim_mass"
+    )
+    return dataclasses.replace(remembering(), slider=slider)
+
+
+@functools.cache
+def driven(name: str) -> tuple[Vehicle, np.ndarray, np.ndarray, np.ndarray]:
+    """A vehicle, its commands, its start, and what `simulate` makes of them."""
+    ours = {one.__name__: one for one in (remembering, sliding, forgetful, simple)}
+    vehicle = ours[name]() if name in ours else packaged(name)
+    count = len(vehicle.command_names)
+    levels = np.random.default_rng(3).uniform(-0.8, 0.8, (len(T) // 20, count))
+    commands = np.repeat(levels * np.minimum(vehicle.command_limits, 10.0), 20, axis=0)
+    start = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.5, *(0.2,) * 6]) * np.tile(vehicle.free, 2)
+    log = Log(T, np.full((len(T), len(CHANNELS)), np.nan), commands, None, vehicle.command_names, "log.csv")
+    track = simulate(vehicle, log, initial_state(vehicle, start[:3], start[3:6], start[6:]))
+    return vehicle, commands, start, np.asarray(track.channels)[:, :12]
+
+
+def told(path: Path) -> dict:
+    with zipfile.ZipFile(path) as archive:
+        return json.loads(archive.read("model.json"))
+
+
+def imported(path: Path):
+    """A module that was written."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# What somebody runs who has jax and not jaxmarine.
+_ALONE = """
+import sys
+sys.modules["jaxmarine"] = None  # importing it would fail
+import zipfile, jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+given = np.load(sys.argv[2])
+with zipfile.ZipFile(sys.argv[1]) as archive:
+    start, step, shown = (
+        jax.export.deserialize(archive.read(f"{name}.stablehlo")).call for name in ("start", "step", "shown")
+    )
+T, commands, begin = given["t"], given["commands"], given["start"]
+first = start(begin[:3], begin[3:6], begin[6:], commands[0])
+none, dt = np.zeros(6), T[1] - T[0]
+
+
+@jax.jit
+def run(state, inputs):
+    return jax.lax.scan(lambda now, one: (step(now, one[1], none, one[0], dt), shown(now)), state, inputs)
+
+
+_, rows = run(first, (T, commands))
+slope = jax.grad(lambda state: shown(state)[2])(first)
+np.savez(sys.argv[3], rows=rows, slope=slope)
+"""
+
+
+@pytest.mark.parametrize("name", ["remembering", pytest.param("sliding", marks=pytest.mark.slow)])
+def test_stablehlo_runs_without_jaxmarine(name, tmp_path):
+    vehicle, commands, start, track = driven(name)
+    export(vehicle, tmp_path / "model.zip", "stablehlo")
+    np.savez(tmp_path / "given.npz", t=T, commands=commands, start=start)
+    paths = [str(tmp_path / one) for one in ("model.zip", "given.npz", "got.npz")]
+    subprocess.run([sys.executable, "-c", _ALONE, *paths], check=True, cwd=tmp_path)
+    got = np.load(tmp_path / "got.npz")
+    assert np.abs(got["rows"] - track).max() < ROUNDING
+    assert np.array_equal(got["slope"], np.eye(len(got["slope"]))[2])  # of the depth
+
+
+@pytest.mark.parametrize(
+    "name", ["remembering", *(pytest.param(name, marks=pytest.mark.slow) for name in ("kvlcc2", "remus100"))]
+)
+def test_casadi_steps_as_simulate(name, tmp_path):
+    import casadi
+
+    vehicle, commands, start, track = driven(name)
+    export(vehicle, tmp_path / "model.zip", "casadi")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        begin, step, rates, shown = (
+            casadi.Function.deserialize(archive.read(f"{one}.casadi").decode())
+            for one in ("start", "step", "rates", "shown")
+        )
+    state = begin(start[:3], start[3:6], start[6:], commands[0])
+    rows = []
+    for t, command in zip(T, commands, strict=True):
+        rows.append(shown(state).full().ravel())
+        state = step(state, command, np.zeros(6), t, T[1] - T[0])
+    assert np.abs(np.array(rows) - track).max() < ROUNDING
+    # The derivative is that of short steps.
+    short = 1e-5
+    held = commands[0], np.zeros(6), 0.0
+    slope = ((step(state, *held, short) - state) / short).full().ravel()
+    known = np.array([not one.startswith("actual_") for one in told(tmp_path / "model.zip")["state"]])
+    exact = rates(state, *held).full().ravel()
+    assert np.allclose(slope[known], exact[known], rtol=1e-3, atol=1e-3)
+
+
+def test_an_fmu_runs_as_simulate(tmp_path):
+    import fmpy
+
+    vehicle, commands, start, track = driven("kvlcc2")
+    export(vehicle, tmp_path / "ship.fmu", "fmi3")
+    described = fmpy.read_model_description(str(tmp_path / "ship.fmu"), validate=True)
+    assert described.fmiVersion == "3.0" and described.coSimulation is not None
+    names = ("X", "Y", "Z", "K", "M", "N", *vehicle.command_names)
+    rows = [(t, *(0.0,) * 6, *row) for t, row in zip(T, commands, strict=True)]
+    shown = CHANNELS[:12]
+    got = fmpy.simulate_fmu(
+        str(tmp_path / "ship.fmu"),
+        stop_time=float(T[-1]),
+        step_size=float(T[1]),
+        output_interval=float(T[1]),
+        start_values={f"{name}_start": value for name, value in zip(shown, start, strict=True)},
+        input=np.array(rows, [("time", float), *((name, float) for name in names)]),
+        output=list(shown),
+    )
+    assert np.allclose(got["time"], T)
+    assert np.abs(np.array([[row[name] for name in shown] for row in got]) - track).max() < ROUNDING
+
+
+def test_what_is_left_behind_is_said_and_written(tmp_path):
+    vehicle = remembering().place(
+        Placed(InputDelay(jnp.asarray(0.2))), Placed(GyroBias(*(jnp.asarray(0.01) for _ in range(3))))
+    )
+    notes = export(vehicle, tmp_path / "model.zip", "casadi")
+    assert any("`steady_current` (-1 s)" in note for note in notes)
+    assert any("`gyro_bias`" in note for note in notes)
+    assert any("port_h (0.2 s)" in note for note in notes)
+    assert told(tmp_path / "model.zip")["notes"] == list(notes)
+    assert "sliding mass" in " ".join(export(sliding(), tmp_path / "slides.zip", "casadi"))
+
+
+def test_the_command_line_exports_and_says_what_is_wrong(tmp_path):
+    rov = str(packaged_vehicle("tethra"))
+    done = CliRunner().invoke(app, ["export", rov, "--to", "casadi", "--out", str(tmp_path / "rov.zip")])
+    assert done.exit_code == 0 and "Exported vehicle" in done.output
+    assert told(tmp_path / "rov.zip")["vehicle"] == "tethra"
+    with pytest.raises(InputError, match=f"known are {', '.join(FORMATS)}"):
+        export(packaged("tethra"), tmp_path / "x", "step")
+
+
+def test_a_missing_package_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxmarine.exports.casadi.NEEDS", ("no_such_package",))
+    with pytest.raises(InputError, match=r"needs the package no_such_package.*jaxmarine\[exports\]"):
+        export(packaged("tethra"), tmp_path / "x", "casadi")
+
+
+def test_mujoco_moves_the_hull_as_simulate(tmp_path):
+    import mujoco
+
+    vehicle, commands, start, track = driven("simple")
+    export(vehicle, tmp_path / "model.zip", "mujoco")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        archive.extractall(tmp_path)
+    module = imported(tmp_path / "hull.py")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "vehicle.xml"))
+    data = mujoco.MjData(model)
+    flip = np.array([1.0, -1.0, -1.0])
+    # North-west-up and forward-left-up; scipy's quaternions have their scalar last.
+    data.qpos[:3] = flip * start[:3]
+    turn = flip[:, None] * Rotation.from_euler("ZYX", start[5:2:-1]).as_matrix() * flip
+    data.qpos[3:] = np.roll(Rotation.from_matrix(turn).as_quat(), 1)
+    data.qvel[:3], data.qvel[3:] = turn @ (flip * start[6:9]), flip * start[9:]
+    places = []
+    mujoco.set_mjcb_passive(module.Hull(tmp_path, model))
+    try:
+        for command in commands:
+            places.append(flip * data.qpos[:3])
+            data.ctrl[:] = command
+            for _ in range(round(T[1] / model.opt.timestep)):
+                mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mjcb_passive(None)
+    # MuJoCo's Runge-Kutta takes steps of a fifth of those of `simulate`, whose own error this is.
+    assert np.abs(np.array(places) - track[:, :3]).max() < 1e-5
+    assert "without lag" in " ".join(export(remembering(), tmp_path / "slow.zip", "mujoco"))
+
+
+def forgetful() -> Vehicle:
+    """`remembering` without memory and learned terms, more damped: what plain parameters can hold."""
+    vehicle = remembering()
+    current = vehicle.placed[1]
+    more = Placed(LinearDamping(jnp.asarray([5.0, 4.0, 3.0, 0.2, 0.3, 0.4])))
+    push = Placed(ConstantWrench(jnp.asarray([1.0, -2.0, 0.5, 0.1, 0.0, 0.2])))
+    return dataclasses.replace(vehicle, placed=(current, more, push))
+
+
+@pytest.mark.parametrize("name", ["simple", pytest.param("forgetful", marks=pytest.mark.slow)])
+def test_the_module_for_python_vehicle_simulator_moves_as_simulate(name, tmp_path):
+    vehicle, commands, start, track = driven(name)
+    notes = export(vehicle, tmp_path / "rov.py", "pvs")
+    written = (tmp_path / "rov.py").read_text(encoding="utf-8")
+    assert all(note in written for note in notes)
+    rov = imported(tmp_path / "rov.py").tethra()
+    eta, nu, thrust = start[:6].copy(), start[6:].copy(), rov.thrust(commands[0])
+    places, dt = [], 1e-3
+    for command in commands:
+        places.append(np.append(eta, nu))
+        for _ in range(round(T[1] / dt)):
+            turned = Rotation.from_euler("ZYX", eta[5:2:-1])
+            # Fossen (2021), eq. 2.28: rates of roll, pitch and yaw.
+            tan, cos = np.tan(eta[4]), np.cos(eta[4])
+            sin_phi, cos_phi = np.sin(eta[3]), np.cos(eta[3])
+            rows = [
+                [1, sin_phi * tan, cos_phi * tan],
+                [0, cos_phi, -sin_phi],
+                [0, sin_phi / cos, cos_phi / cos],
+            ]
+            moved = np.append(turned.apply(nu[:3]), np.array(rows) @ nu[3:])
+            nu, thrust = rov.dynamics(eta, nu, thrust, command, dt)
+            eta = eta + dt * moved
+    # Euler's method at a millisecond.
+    assert np.abs(np.array(places) - track).max() < 5e-3
+
+
+def test_plain_parameters_say_what_they_lack(tmp_path):
+    said = " ".join(export(packaged("kvlcc2"), tmp_path / "ship.py", "pvs"))
+    assert "Propellers are left out: prop" in said and "Control surfaces" in said
+    said = " ".join(export(remembering(), tmp_path / "rov.py", "pvs"))
+    assert "Fluid memory acts at once" in said and "left out: `mlp_damping`" in said
+
+
+def simple() -> Vehicle:
+    """An ROV with what Gazebo holds: a payload, and damping and added mass between axes."""
+    vehicle = packaged("tethra")
+    joins = np.zeros((6, 6))
+    joins[1, 5], joins[5, 1], joins[4, 2] = 3.0, -2.0, 1.5
+    payload = Payload(*(jnp.asarray(one) for one in (5.0, 0.004, 0.2, 0.1, -0.1)))
+    pair = CoupledAddedMass(jnp.asarray([0.0, 4.0, 0.0, 0.0, 3.0, 0.0]))
+    return vehicle.place(*map(Placed, (payload, pair, CoupledDamping(jnp.asarray(joins)))))
+
+
+def gazebo(root: ET.Element):
+    """The acceleration of the hull by the documentation of SDF 1.11 and of Gazebo's plug-ins.
+
+    Forward-left-up, at the link's origin. Hydrodynamics: forces `xU` U and `xUabsU` |U| U, as they stand. The
+    engine has body and `fluid_added_mass` as one spatial inertia. Buoyancy: the weight of displaced water at
+    the collision's centre. Thruster: what it is told, along the joint's axis, at the rotor.
+    """
+
+    def numbers(path: str, of: ET.Element = root) -> np.ndarray:
+        return np.array([float(one) for one in str(of.findtext(path)).split()])
+
+    def skew(a: np.ndarray) -> np.ndarray:
+        return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+
+    inertial = root.find(".//link[@name='base_link']/inertial")
+    water = root.find(".//plugin[@name='gz::sim::systems::Hydrodynamics']")
+    assert inertial is not None and water is not None
+    mass, cog = numbers("mass", inertial)[0], numbers("pose", inertial)[:3]
+    whole, added = np.zeros((6, 6)), np.zeros((6, 6))
+    for i, j in itertools.combinations_with_replacement(range(3), 2):
+        whole[3 + i, 3 + j] = whole[3 + j, 3 + i] = numbers(f"inertia/i{'xyz'[i]}{'xyz'[j]}", inertial)[0]
+    for i, j in itertools.combinations_with_replacement(range(6), 2):
+        entry = numbers(f"fluid_added_mass/{'xyzpqr'[i]}{'xyzpqr'[j]}", inertial)[0]
+        added[i, j] = added[j, i] = entry
+    whole[:3, :3], whole[:3, 3:], whole[3:, :3] = mass * np.eye(3), -mass * skew(cog), mass * skew(cog)
+    whole[3:, 3:] += -mass * skew(cog) @ skew(cog)
+    whole += added
+    assert water.findtext("disable_added_mass") == water.findtext("disable_coriolis") == "true"
+    gravity, density = numbers(".//gravity"), numbers(".//uniform_fluid_density")[0]
+    volume = 4 / 3 * np.pi * numbers(".//sphere/radius")[0] ** 3
+    centre = numbers(".//collision/pose")[:3]
+    thrusters = []
+    for plugin in root.findall(".//plugin[@name='gz::sim::systems::Thruster']"):
+        joint = root.find(f".//joint[@name='{plugin.findtext('joint_name')}']")
+        assert joint is not None
+        place = numbers(f".//link[@name='{joint.findtext('child')}']/pose")[:3]
+        axis = numbers("axis/xyz", joint)
+        thrusters.append(np.append(axis, np.cross(place, axis)))
+
+    def acceleration(turn: np.ndarray, nu: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
+        wrench = np.array(thrusters).T @ thrusts
+        for element in water:
+            if element.tag[0] in "xyzkmn" and element.tag[1:2].isupper():
+                i, j = "xyzkmn".index(element.tag[0]), "UVWPQR".index(element.tag[1])
+                speed = nu[j] * np.abs(nu[j]) if "abs" in element.tag else nu[j]
+                wrench[i] += float(str(element.text)) * speed
+        down = turn.T @ gravity
+        wrench[:3] += (mass - density * volume) * down
+        wrench[3:] += np.cross(mass * cog - density * volume * centre, down)
+        a, b = np.split(whole @ nu, 2)
+        v, w = np.split(nu, 2)
+        spin = np.append(np.cross(w, a), np.cross(v, a) + np.cross(w, b))
+        return np.linalg.solve(whole, wrench - spin)
+
+    return acceleration
+
+
+def test_the_world_for_gazebo_moves_by_its_documentation_as_simulate(tmp_path):
+    vehicle, commands, start, track = driven("simple")
+    notes = export(vehicle, tmp_path / "rov.sdf", "sdf")
+    written = (tmp_path / "rov.sdf").read_text(encoding="utf-8")
+    assert all(note in written for note in notes)
+    acceleration = gazebo(ET.fromstring(written))
+    flip = np.array([1.0, -1.0, -1.0])
+    turn = flip[:, None] * Rotation.from_euler("ZYX", start[5:2:-1]).as_matrix() * flip
+    state = np.concatenate([flip * start[:3], turn.ravel(), np.tile(flip, 1) * start[6:9], flip * start[9:]])
+    most = np.asarray(vehicle.thrusters.max_thrust)
+
+    def rates(t: float, y: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
+        turn, nu = y[3:12].reshape(3, 3), y[12:]
+        p, q, r = nu[3:]
+        spun = turn @ np.array([[0, -r, q], [r, 0, -p], [-q, p, 0]])
+        return np.concatenate([turn @ nu[:3], spun.ravel(), acceleration(turn, nu, thrusts)])
+
+    places = []
+    # One command holds for twenty samples.
+    for command in commands[::20]:
+        run = solve_ivp(rates, (0.0, 20 * T[1]), state, args=(most * command,), rtol=1e-8, atol=1e-10)
+        places.append(np.concatenate([flip * state[:3], flip * state[12:15], flip * state[15:]]))
+        state = run.y[:, -1]
+    # The error of steps of `simulate`.
+    assert np.abs(np.array(places) - track[::20][:, [0, 1, 2, 6, 7, 8, 9, 10, 11]]).max() < 1e-5
+
+
+def test_gazebo_has_no_locked_axes(tmp_path):
+    with pytest.raises(InputError, match="locked in heave"):
+        export(packaged("kvlcc2"), tmp_path / "ship.sdf", "sdf")
+
+
+@pytest.mark.slow
+def test_every_effect_of_the_catalogue_is_written_as_expressions():
+    vehicle = packaged("tethra")
+    names, rng = vehicle.thruster_names, np.random.default_rng(0)
+    for effect in CATALOGUE:
+        for suspect in effect.suspects(vehicle)[:1]:
+            values = dict.fromkeys(suspect.slots, 0.05)
+            vehicle = vehicle.place(Placed(place(suspect, vehicle, values), suspect.target))
+    wrench = learned_wrench("heave", ("w", "q"), names, -np.ones(2), np.ones(2), 5.0, jax.random.key(1))
+    speeds = rng.normal(size=(40, 2))
+    steady = rbf_damping(("surge", "yaw"), speeds, speeds * np.abs(speeds), np.zeros(40, int), 5)
+    for term in (wrench, steady, learned_thrust(names, -np.ones(4), np.ones(4))):
+        noise = jax.tree.map(lambda a: a + 0.1 * rng.normal(size=a.shape), term)
+        vehicle = vehicle.place(Placed(noise))
+    model, made = functions(vehicle)
+    state = rng.normal(size=len(model.state_names))
+    state[3:7] = 0.9, 0.1, -0.3, 0.3
+    state[3:7] /= np.linalg.norm(state[3:7])
+    given = (state, rng.uniform(-0.8, 0.8, len(names)), rng.normal(size=6), 1.3)
+    exact = np.asarray(jax.jit(lambda *a: model.rates(*a))(*map(jnp.asarray, given)))
+    assert np.allclose(made["rates"](*given).full().ravel(), exact, rtol=1e-9, atol=1e-9)
