@@ -25,6 +25,7 @@ import typer
 import jaxmarine as jm
 from experiments._study import study, write_results
 from experiments.benchmarks._rounds import machine
+from jaxmarine._program import program
 from jaxmarine.examples import hidden
 from jaxmarine.fleets._engine import worked
 from jaxmarine.fleets._job import Job, Outcome, job_of
@@ -74,7 +75,8 @@ def jobs_of(folder: Path, count: int, lengths: tuple[float, float]) -> dict[str,
             jm.write_log(log, folder / f"{kind}{i}.csv")
         rows.append({"vehicle": "tethra.toml", "train": f"train{i}.csv", "test": f"test{i}.csv"})
     pd.DataFrame(rows).to_csv(folder / "table.csv", index=False)
-    return {one.slug: job_of(one) for one in read_entries(folder / "table.csv", folder)}
+    by = program()
+    return {one.slug: job_of(one, by) for one in read_entries(folder / "table.csv", folder)}
 
 
 def on_workers(jobs: dict[str, Job], workers: int) -> dict[str, Any]:
