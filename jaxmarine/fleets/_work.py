@@ -4,8 +4,7 @@ import gc
 import tempfile
 from pathlib import Path
 
-import jax
-
+from .._compiled import let_go
 from .._errors import InputError
 from .._program import program
 from .._start import prepare
@@ -60,5 +59,5 @@ def _let_go() -> None:
     """Lets compiled programs go where the process has too many memory maps for another diagnosis."""
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > _MAPS:
-        jax.clear_caches()
+        let_go()
         gc.collect()

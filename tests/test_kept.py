@@ -1,0 +1,122 @@
+"""Programs that are kept between starts: the same numbers, none taken for another, all of them run."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from jaxmarine import _compiled, _kept
+from jaxmarine._angles import wrap_to_pi
+from jaxmarine.fitting import _parts
+from jaxmarine.physics import rotation
+
+# Says the row sums of a matrix, computed by a kept program, and how many programs the compiler was asked for.
+START = """
+import sys
+from pathlib import Path
+import jax, jax.numpy as jnp
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[2])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+from jaxmarine._compiled import compiled, keep_in
+from jaxmarine.physics import rotation
+names = []
+def heard(event, seconds, **more):
+    if event == "/jax/core/compile/backend_compile_duration":
+        names.append(more["fun_name"])
+jax.monitoring.register_event_duration_secs_listener(heard)
+keep_in(Path(sys.argv[1]))
+given = jnp.array([0.5, 0.5, -0.5, 0.5])
+turned = compiled(rotation)(given)
+print([round(float(x), 12) for x in turned.ravel()], sum("rotation" in name for name in names))
+"""
+
+
+def started(kept: Path, cache: Path) -> tuple[str, int]:
+    """What a process of its own computes, and how many of its programs were compiled."""
+    done = subprocess.run(
+        [sys.executable, "-c", START, kept, cache], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    numbers, _, count = done.stdout.strip().rpartition(" ")
+    return numbers, int(count)
+
+
+def test_a_later_start_compiles_nothing_and_computes_the_same(tmp_path):
+    kept, cache = tmp_path / "kept", tmp_path / "cache"
+    first, compiled_first = started(kept, cache)
+    again, compiled_again = started(kept, cache)
+    # The rotation by 120 degrees about (1, -1, 1): a permutation of the axes with signs, in closed form.
+    assert first == again == str([0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0])
+    assert (compiled_first, compiled_again) == (1, 0)
+
+
+def test_programs_run_that_the_own_cache_of_jax_knew_before(tmp_path):
+    # Its programs lose their kernels where they are kept a second time.
+    kept, cache = tmp_path / "kept", tmp_path / "cache"
+    first = started(kept, cache)
+    for file in kept.iterdir():
+        file.unlink()
+    assert started(kept, cache) == first
+    assert started(kept, cache) == (first[0], 0)
+
+
+def test_what_is_damaged_is_made_anew(tmp_path):
+    kept, cache = tmp_path / "kept", tmp_path / "cache"
+    first = started(kept, cache)
+    (file,) = kept.iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    assert started(kept, cache) == first
+    assert started(kept, cache) == (first[0], 0)
+
+
+@pytest.fixture
+def kept(tmp_path) -> _kept.Kept:
+    return _kept.Kept(tmp_path)
+
+
+def test_other_shapes_types_options_and_sources_are_other_programs(kept, monkeypatch):
+    def asked(given, options=None) -> int:
+        kept(wrap_to_pi, options, ((given,), {}))
+        return len(list(kept.folder.iterdir()))
+
+    one = jnp.array([1.0, 0.0, 0.0, 0.0])
+    assert [asked(one), asked(one), asked(jnp.stack([one, one]).T)] == [1, 1, 2]
+    assert asked(one.astype(jnp.float32)) == 3
+    kept.forget()
+    assert asked(one, {"xla_cpu_use_fusion_emitters": False}) == 4
+    monkeypatch.setattr(_kept, "_machine", lambda: "other sources")
+    kept.forget()
+    assert asked(one) == 5
+
+
+def test_a_function_of_somebody_else_runs_and_is_not_kept(kept):
+    def twice(x):
+        return 2 * x
+
+    given = jnp.arange(3.0)
+    assert kept(twice, None, ((given,), {})).tolist() == [0.0, 2.0, 4.0]
+    # Nor one that is given such a function: by its name another start may know another one.
+    folded = kept(_parts.in_parts, None, ((given, 2), {}))
+    assert folded.shape == (2, 2) and len(list(kept.folder.iterdir())) == 1
+    assert kept(jax.tree.map, None, ((twice, given), {})).tolist() == [0.0, 2.0, 4.0]
+    assert len(list(kept.folder.iterdir())) == 1
+
+
+def test_without_a_folder_to_write_into_programs_run(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    kept = _kept.Kept(tmp_path / "file" / "programs")
+    assert kept(rotation, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {})).tolist() == jnp.eye(3).tolist()
+
+
+def test_programs_are_let_go(tmp_path, monkeypatch):
+    monkeypatch.setattr(_compiled, "_kept", [])
+    _compiled.keep_in(tmp_path)
+    _compiled.compiled(rotation)(jnp.array([1.0, 0.0, 0.0, 0.0]))
+    assert _compiled._kept[0]._loaded
+    _compiled.let_go()
+    assert not _compiled._kept[0]._loaded
