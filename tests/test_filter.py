@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
 from jaxmarine.diagnosis._innovations import remembered
-from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._model import SLOTS, Model, Workbench
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.effects import LinearDamping, QuadraticDamping
 from jaxmarine.fitting import _filter
@@ -44,7 +44,8 @@ def windows_of(joined: list[bool], gap: list[float], swells: bool = False) -> tu
         h=normal(STEPS, ROWS, 13 + AXES, scale=0.5),
         residual=normal(STEPS, ROWS, COLUMNS),
         dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
-        begin=normal(13, 12),
+        # Orthogonal, as the changes of a first state are.
+        begin=jnp.asarray(np.linalg.qr(rng.normal(size=(count, 13, 12)))[0]) * normal(1, 12),
     )
     return Windowed(
         line=line,
@@ -200,6 +201,25 @@ def test_sizes_and_memories_are_found(disturbed):
     assert np.all(np.abs(np.log(np.asarray(force.time) / MEMORY)) < 1.0)
 
 
+def test_the_changes_of_a_first_state_are_orthogonal(disturbed):
+    """The closed form of a pseudo-inverse is NumPy's along the path of a craft."""
+    bench, model = disturbed
+    _, every = bench._path(model, model.beside)
+    for line in (jax.tree.map(lambda a, w=w: a[w], every.line) for w in (0, 7, 99)):
+        np.testing.assert_allclose(np.asarray(line.back), np.linalg.pinv(line.begin), atol=1e-12)
+
+
+def test_many_windows_are_held_some_at_a_time(disturbed, monkeypatch):
+    """What they say is the same to rounding."""
+    bench, model = disturbed
+    whole = bench.screen(model)
+    monkeypatch.setattr(_filter, "HELD", 200)
+    parts = bench.screen(model)
+    for name in ("chi2", "g", "h"):
+        a, b = getattr(whole, name), getattr(parts, name)
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
+
+
 def test_scores_scatter_as_the_likelihood_says(disturbed):
     """Of a file that is exact: their variance is their information, and no suspect saves more than chance."""
     bench, model = disturbed
@@ -220,7 +240,7 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     path, h = model.beside.path, 0.2 * bench.base[0].prior
 
     def of(step: float):
-        z = np.zeros(bench.slots(len(model.z)))
+        z = np.zeros(SLOTS)
         z[0] = step
         group = jnp.asarray(bench.fine.group)
         affine = likely.affine.at(jnp.asarray(z))

@@ -30,6 +30,7 @@ from ..fitting import (
     Room,
     Segments,
     Task,
+    Windowed,
     coefficient_name,
     cut,
     estimated,
@@ -37,10 +38,10 @@ from ..fitting import (
     free_wrench,
     innovations,
     largest,
-    lines,
     maximise,
     measured_channels,
     overdispersion,
+    path_lines,
     predict,
     promise,
     refine_windows,
@@ -60,9 +61,9 @@ from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
 from ._signals import Places, places
 
-# Room for parameters in the compiled refinement: coefficients of the file, members and one suspect; and
-# beside the coefficients in the faster one that serves most rounds.
-SLOTS, FEW = 44, 8
+# Room for parameters in the compiled refinement: coefficients of the file, members and one suspect. With
+# half of it a step would take as long.
+SLOTS = 44
 # Members with a beginning of their own: parameters that the compiled screening has columns for, and
 # stretches between beginnings, those of the vehicle file included.
 BEGUN = 6
@@ -207,7 +208,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), max(1, steps // (2 * parts)))
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
-        self._known = set[tuple[str, int, bool | None]]()  # programs that are compiled, by kinds of models
+        self._known = set[tuple[str, bool | None]]()  # programs that are compiled, by kinds of models
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -239,17 +240,12 @@ class Workbench:
     def width(self, members: Sequence[Member]) -> int:
         return len(self.base) + sum(self.layout.columns[m.suspect].shape[1] for m in members)
 
-    def slots(self, width: int) -> int:
-        """Parameters that the compiled refinement has room for: few where few are asked for."""
-        few = len(self.base) + FEW
-        return few if width <= few < SLOTS else SLOTS
-
     def coefficient_of(self, suspect: int) -> int | None:
         """Which coefficient of the file a suspect alters, if it does nothing else."""
         return next((j for j, c in enumerate(self.base) if c.suspect == suspect), None)
 
     def _padded(self, z: np.ndarray, fill: float = 0.0) -> np.ndarray:
-        return np.append(z, np.full(self.slots(len(z)) - len(z), fill))
+        return np.append(z, np.full(SLOTS - len(z), fill))
 
     def slices(self, members: Sequence[Member]) -> list[slice]:
         """Where each member's parameters lie in z."""
@@ -332,8 +328,7 @@ class Workbench:
         """From z to the saturated model's parameters in each segment, of the training logs by default."""
         begun = self.beginnings(members)
         passed = filled((stretches or self.stretches(members)).passed)
-        slots = self.slots(self.width(members))
-        columns, acts = np.zeros((self.layout.size, slots)), np.ones((SEGMENTS, slots))
+        columns, acts = np.zeros((self.layout.size, SLOTS)), np.ones((SEGMENTS, SLOTS))
         for j, coefficient in enumerate(self.base):
             columns[coefficient.index, j] = 1.0
         for member, where in zip(members, self.slices(members), strict=True):
@@ -425,6 +420,16 @@ class Workbench:
         problem = self.problem(model.members, self.fine.problem)
         return Likelihood(problem, task.affine, task.precision, force)
 
+    def _along(self, model: Model) -> tuple[Problem, Affine]:
+        """The windows cut up for the filter, and the map of changes of z."""
+        problem = self.problem(model.members, self.fine.problem)
+        return problem, self.affine(model.members).at(jnp.asarray(self._padded(model.z)))
+
+    def _path(self, model: Model, beside: Beside) -> tuple[Problem, Windowed]:
+        """The windows cut up for the filter, as they are and as linear systems along a path."""
+        problem, affine = self._along(model)
+        return problem, path_lines(problem, affine, beside.force, beside.path)
+
     def promised(self, models: Sequence[Model]) -> list[float]:
         """The cost that a step of each promises: beside a disturbance the next, else the one after it."""
         if any(model.beside is None for model in models):
@@ -465,9 +470,8 @@ class Workbench:
         for _ in range(times):
             if model.beside is None or not np.isfinite(model.cost):
                 break
-            problem = self.problem(model.members, self.fine.problem)
             beside = model.beside
-            every = lines(problem, jnp.asarray(self.theta(model)), beside.force, beside.path)
+            problem, every = self._path(model, beside)
             force, learned, _ = estimated(problem, every, beside.force, self.fine.unit, beside.covariance)
             now = Beside(force, beside.path, learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
@@ -483,7 +487,7 @@ class Workbench:
         task = self.task(white)
         # Nothing but the starts is free.
         fixed = eqx.tree_at(lambda t: (t.affine, t.precision), task, self._fixed(white, task))
-        out = refine_windows(fixed, jnp.zeros(self.slots(len(white.z))), white.delta, 10, rtol=1e-5)
+        out = refine_windows(fixed, jnp.zeros(SLOTS), white.delta, 10, rtol=1e-5)
         prior = float(self._precision(white) @ white.z**2)
         return dataclasses.replace(white, delta=out.delta, cost=float(out.cost) + 0.5 * prior)
 
@@ -512,10 +516,7 @@ class Workbench:
                 return of(model)
 
         # The first compiles the program that the others share, if none of its kind was compiled before.
-        kinds = {
-            (program, self.slots(len(model.z)), model.beside and model.beside.force.swells)
-            for model in models
-        }
+        kinds = {(program, model.beside and model.beside.force.swells) for model in models}
         alone = 0 if kinds <= self._known else 1
         first = [one(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -526,8 +527,8 @@ class Workbench:
     def swelling(self, model: Model) -> Model:
         """The model beside a swell too, where the logs are likelier so; its disturbance is estimated."""
         assert model.beside is not None
-        problem, beside = self.problem(model.members, self.fine.problem), model.beside
-        every = lines(problem, jnp.asarray(self.theta(model)), beside.force, beside.path)
+        beside = model.beside
+        problem, every = self._path(model, beside)
         swell = None if beside.force.swells else with_swell(problem, every, beside.force, self.fine.unit)
         if swell is None:
             return model
@@ -606,7 +607,8 @@ class Workbench:
         fine, begun = self.fine, tuple(dataclasses.replace(member, since=None) for member in model.members)
         force = dataclasses.replace(model.beside.force, gap=fine.begin.gap, joined=fine.begin.joined)
         theta = jnp.asarray(self.theta(dataclasses.replace(model, members=begun)))
-        nothing = Affine(theta, jnp.zeros((theta.shape[1], 1)), jnp.ones((len(theta), 1)))
+        # As wide as that of a refinement, whose program this is then.
+        nothing = Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS)))
         problem, path = self.problem(begun, fine.problem), fine.path
         group = jnp.zeros(len(fine.group), int)
         found = innovations(problem, nothing, force, path, group, 1)
@@ -621,8 +623,8 @@ class Workbench:
         Rows are the channels that are measured; only beside a disturbance.
         """
         assert model.beside is not None
-        problem, beside = self.problem(model.members, self.fine.problem), model.beside
-        white = np.asarray(whitened(problem, jnp.asarray(self.theta(model)), beside.force, beside.path))
+        (problem, affine), beside = self._along(model), model.beside
+        white = np.asarray(whitened(problem, affine, beside.force, beside.path))
         white = white[: self.fine.count]
         taken = np.asarray(problem.windows.weight)[: self.fine.count][..., np.array(problem.channels)] > 0
         return np.where(taken, white, np.nan)
@@ -763,8 +765,7 @@ class Workbench:
         """
         if model.beside is None:
             return self._screening(model)[1]
-        problem, affine = self.problem(model.members, self.fine.problem), self.affine(model.members)
-        affine = affine.at(jnp.asarray(self._padded(model.z)))
+        problem, affine = self._along(model)
         parts = self.fine.parts
         group = jnp.arange(self.room.windows * parts) // parts
         found = free_wrench(

@@ -13,7 +13,7 @@ from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._bands import banded
 from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
-from ._model import Beginning, Member, Model, Workbench, filled
+from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._prepare import opened_with
 from ._result import Gain, Predictions
 
@@ -124,7 +124,7 @@ def _predicted(
         bench.data.hold / bench.split,
         stretches.of_samples[0],
         bench.room,
-        bench.slots(0),
+        SLOTS,
         stride,
     )
     seen = np.isfinite(measured).any((0, 1))

@@ -27,11 +27,12 @@ from ._filter import USUAL_SIZE as USUAL_SIZE
 from ._filter import Disturbance as Disturbance
 from ._filter import Likelihood as Likelihood
 from ._filter import Path as Path
+from ._filter import Windowed as Windowed
 from ._filter import estimated as estimated
 from ._filter import free_wrench as free_wrench
 from ._filter import innovations as innovations
-from ._filter import lines as lines
 from ._filter import maximise as maximise
+from ._filter import path_lines as path_lines
 from ._filter import promise as promise
 from ._filter import whitened as whitened
 from ._filter import with_swell as with_swell

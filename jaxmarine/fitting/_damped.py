@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .._compiled import compiled
 from ._trust import Trust, pick
 
 # Decrease of the chi-square that is not worth a step: far below what a parameter's standard error costs.
@@ -116,3 +117,30 @@ def minimise(
         throw=False,
         adjoint=optx.ImplicitAdjoint(),
     )
+
+
+@compiled
+def _stepped(solver: Any, y, args, options, state: State, given):
+    y, state, _ = solver.step(lambda y, args: given, y, args, options, state, frozenset())
+    ended, result = solver.terminate(None, y, args, options, state, frozenset())
+    return y, state, ended, result
+
+
+def minimise_outside(
+    fn: Callable[[Any], Any], solver: Any, y: Any, args: Any, options: dict[str, Array]
+) -> tuple[Any, Any, dict[str, Array]]:
+    """As `minimise`, step by step of the solver, with a function that runs programs of its own.
+
+    Inside optimistix' loop its programs would be compiled once more (a linearisation takes 10 to 20 s).
+
+    - `fn`: from a point to its cost and what was found there; `args` are the solver's.
+
+    Returns the point, what was found there, and the solver's statistics.
+    """
+    given = fn(y)
+    state = solver.init(None, y, args, options, None, given[1], frozenset())
+    while True:
+        y, state, ended, result = _stepped(solver, y, args, options, state, given)
+        if ended:
+            return solver.postprocess(None, y, None, args, options, state, frozenset(), result)
+        given = fn(state.y_eval)

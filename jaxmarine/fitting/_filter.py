@@ -22,6 +22,7 @@ Source: after Ljung, System Identification, on prediction errors, and Anderson a
 """
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -32,9 +33,9 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import optimize
 
 from .._compiled import compiled
-from ._damped import ATOL, DampedGaussNewton, minimise
-from ._linearise import Affine, Rows, added, of_filled, swept
-from ._parts import in_parts, joined
+from ._damped import ATOL, DampedGaussNewton, minimise_outside
+from ._linearise import BATCH, Affine, Rows, added, of_filled, swept
+from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
@@ -45,8 +46,10 @@ PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
-# Windows that are filtered side by side where only their likelihood is asked for.
-TOGETHER = 20
+# Windows that are filtered side by side: one after another each would wait for single numbers.
+TOGETHER = 80
+# Windows that are held as linear systems at once at most, of which one with 150 columns takes 140 kB.
+HELD = 1280
 
 
 class Usual(NamedTuple):
@@ -314,6 +317,13 @@ def _spread(problem: Problem) -> Float[Array, "12"]:
     return jnp.where(problem.start_precision > LOOSE**-2.0, TIGHT, ANY)
 
 
+class Free(eqx.Module):
+    """Derivatives of a window's residuals and of its end by a wrench that is free in each of its knots."""
+
+    residual: Float[Array, "steps rows knots*6"]
+    end: Float[Array, "13 knots*6"]
+
+
 class Windowed(eqx.Module):
     """A window as a linear system, and what it takes to join it to the one before.
 
@@ -326,6 +336,12 @@ class Windowed(eqx.Module):
     delta: Float[Array, "12"]
     gap: Float[Array, ""]
     joined: Bool[Array, ""]
+
+    @property
+    def alone(self) -> "Windowed":
+        """Nothing asked for but the residuals."""
+        alone = self.line.residual[..., -1:], self.end[..., -1:]
+        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, alone)
 
     @classmethod
     def of(cls, rows: Rows, z: int, path: Path, force: Disturbance, index) -> "Windowed":
@@ -376,6 +392,78 @@ class Windowed(eqx.Module):
 
 
 @compiled
+def _lines(
+    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int
+) -> tuple[Windowed, Free]:
+    given = affine.acts.shape[-1]
+
+    def of_rows(rows, index):
+        free = Free(rows.jacobian[..., 12 + given :], rows.end_by[:, 12 + given :])
+        return Windowed.of(rows, given, path, force, index), free
+
+    def each(carry, now):
+        return carry, now
+
+    return swept(pushed(problem, force, path), affine, path.delta, knots, of_rows, each, None)[1]
+
+
+def lines(
+    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int = 1
+) -> tuple[Windowed, Free]:
+    """All windows as linear systems, by z = 0 and by a free wrench.
+
+    The program that everything else here goes on from: to compile it takes several times as long as all of
+    that, and it is the same for all disturbances.
+    """
+    n = len(force.axes)
+    still = dataclasses.replace(force, size=jnp.zeros(n), time=jnp.ones(n), frequency=jnp.zeros(n))
+    return _lines(problem, affine, still, path, knots)
+
+
+def _in_turn(
+    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int = 1
+) -> Iterator[tuple[Windowed, Free, np.ndarray]]:
+    """Some windows after others as linear systems, and their indices; what fills up lies beyond the last."""
+    count = len(path.delta)
+    size = part_of(count, HELD, BATCH)
+    if size >= count:
+        yield *lines(problem, affine, force, path, knots), np.arange(count)
+        return
+    for index in np.arange(-(-count // size) * size).reshape(-1, size):
+        here = np.minimum(index, count - 1)
+        windows, part = jax.tree.map(lambda a, here=here: a[here], (problem.windows, path))
+        some = eqx.tree_at(lambda p: p.windows, problem, windows)
+        beside = dataclasses.replace(force, gap=force.gap[here], joined=force.joined[here])
+        yield *lines(some, affine, beside, part, knots), index
+
+
+def _filtered(line: Line, force: Disturbance) -> Passed:
+    """Windows side by side."""
+    count = len(line.dt)
+    parts = jax.tree.map(lambda a: in_parts(a, TOGETHER), line)
+    passed = jax.lax.map(lambda part: jax.vmap(lambda one: filtered(one, force))(part), parts)
+    return jax.tree.map(lambda a: joined(a, count), passed)
+
+
+@compiled
+def _joined_up(begin, every: Windowed, force: Disturbance, group: Int[Array, " windows"], spread):
+    """What windows say of z, added to what those before them did."""
+
+    def each(carry, now):
+        total, message = carry
+        window, passed, group = now
+        half, follows = 0.5 * window.line.dt.sum(), window.gap < 0.5 * window.line.dt[0]
+        expected = -force.output @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
+        # As the one before lets one expect it, if this window follows it at once.
+        known = window.line.back @ message.mean[:13, -1]
+        delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
+        information, log_det, message = window.after(message, passed, force, spread)
+        kept = information[-1, -1] + log_det, information[:-1, -1], Path(delta, expected)
+        return (added(total, information[:-1, :-1], group), message), kept
+
+    return jax.lax.scan(each, begin, (every, _filtered(every.line, force), group))
+
+
 def innovations(
     problem: Problem,
     affine: Affine,
@@ -388,67 +476,24 @@ def innovations(
 
     - `group`: of each window; windows of the group with the number `groups` are left out.
     """
-    given, spread = affine.acts.shape[-1], _spread(problem)
-    dt = problem.records.dt[problem.windows.log[:, None], problem.windows.step]
-    half = 0.5 * dt.sum(axis=1)
-    follows = force.gap < 0.5 * dt[:, 0]
-
-    def of_rows(rows, index):
-        window = Windowed.of(rows, given, path, force, index)
-        return (
-            window,
-            filtered(window.line, force),
-            of_filled(group, groups, index),
-            half[index],
-            follows[index],
-        )
-
-    def each(carry, now):
-        total, message = carry
-        window, passed, group, half, follows = now
-        expected = -force.output @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
-        # As the one before lets one expect it, if this window follows it at once.
-        known = window.line.back @ message.mean[:13, -1]
-        delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
-        information, log_det, message = window.after(message, passed, force, spread)
-        kept = information[-1, -1] + log_det, information[:-1, -1], Path(delta, expected)
-        return (added(total, information[:-1, :-1], group), message), kept
-
-    begin = jnp.zeros((groups + 1, given, given)), _nothing_known(force, given + 1)
-    every = pushed(problem, force, path), affine, path.delta, 1
-    (h, _), (minus_twice, g, path) = swept(*every, of_rows, each, begin)
-    return Innovations(minus_twice, g, h[:-1], path)
+    given, count, spread = affine.acts.shape[-1], len(path.delta), _spread(problem)
+    carry = jnp.zeros((groups + 1, given, given)), _nothing_known(force, given + 1)
+    found = []
+    for every, _, index in _in_turn(problem, affine, force, path):
+        carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
+        found.append(kept)
+    minus_twice, g, path = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
+    return Innovations(minus_twice, g, carry[0][:-1], path)
 
 
-@compiled
-def lines(
-    problem: Problem, theta: Float[Array, "segments parameters"], force: Disturbance, path: Path
-) -> Windowed:
+def path_lines(problem: Problem, affine: Affine, force: Disturbance, path: Path) -> Windowed:
     """All windows as linear systems, of which nothing but the residuals is asked for."""
-    nothing = Affine(theta, jnp.zeros((theta.shape[1], 1)), jnp.ones((len(theta), 1)))
-
-    def of_rows(rows, index):
-        window = Windowed.of(rows, 1, path, force, index)
-        return eqx.tree_at(
-            lambda w: (w.line.residual, w.end), window, (window.line.residual[..., 1:], window.end[:, 1:])
-        )
-
-    def each(carry, now):
-        return carry, now
-
-    return swept(pushed(problem, force, path), nothing, path.delta, 1, of_rows, each, None)[1]
+    found = [every.alone for every, _, _ in _in_turn(problem, affine, force, path)]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[: len(path.delta)], *found)
 
 
 @compiled
-def whitened(
-    problem: Problem, theta: Float[Array, "segments parameters"], force: Disturbance, path: Path
-) -> Float[Array, "windows steps rows"]:
-    """By how much each sample differs from what all before it lets one expect, in standard deviations.
-
-    Of a model that is right these are white noise of size one. 0 where nothing was measured.
-    """
-    every, spread = lines(problem, theta, force, path), _spread(problem)
-
+def _whitened(every: Windowed, force: Disturbance, spread) -> Float[Array, "windows steps rows"]:
     def each(message: Message, window: Windowed):
         mean, covariance = window.begun(message, force, spread)
         into = jax.scipy.linalg.block_diag(window.line.begin, jnp.eye(force.states))
@@ -457,6 +502,16 @@ def whitened(
         return Message(mean, covariance, window.end), white[..., 0]
 
     return jax.lax.scan(each, _nothing_known(force, 1), every)[1]
+
+
+def whitened(
+    problem: Problem, affine: Affine, force: Disturbance, path: Path
+) -> Float[Array, "windows steps rows"]:
+    """By how much each sample differs from what all before it lets one expect, in standard deviations.
+
+    Of a model that is right these are white noise of size one. 0 where nothing was measured.
+    """
+    return _whitened(path_lines(problem, affine, force, path), force, _spread(problem))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -502,10 +557,6 @@ def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: 
 
     def of(logarithms):
         now = meaning.set(force, unit, logarithms)
-        count = len(every.start)
-        parts = jax.tree.map(lambda a: in_parts(a, TOGETHER), every.line)
-        passed = jax.lax.map(lambda part: jax.vmap(lambda line: filtered(line, now))(part), parts)
-        passed = jax.tree.map(lambda a: joined(a, count), passed)
 
         @jax.checkpoint
         def each(message, here):
@@ -513,6 +564,7 @@ def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: 
             information, log_det, message = window.after(message, passed, now, spread)
             return message, information[-1, -1] + log_det
 
+        passed = _filtered(every.line, now)
         _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (every, passed))
         return minus_twice.sum() + meaning.unusual(now, unit)
 
@@ -586,27 +638,29 @@ class Likelihood(eqx.Module):
     force: Disturbance
 
 
-def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Float[Array, ""], Innovations]:
+def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Array, Innovations]:
+    """Half of minus twice the logarithm of the likelihood with the prior, and what the windows say of z."""
     z, path = y
-    count = task.problem.windows.count
-    found = innovations(task.problem, task.affine.at(z), task.force, path, jnp.zeros(count, int), 1)
+    group = jnp.zeros(len(path.delta), int)
+    found = innovations(task.problem, task.affine.at(z), task.force, path, group, 1)
     return 0.5 * (found.minus_twice.sum() + (task.precision * z * z).sum()), found
 
 
 class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
     """Damped Gauss-Newton on the innovations; each step goes on from the path that the last one predicts.
 
-    A step is worth the decrease of -2 log p that the option `least` says, and `ATOL` at least.
+    Its arguments are the precision of the prior. A step is worth the decrease of -2 log p that the option
+    `least` says, and `ATOL` at least.
     """
 
     def usable(self, found: Innovations) -> Bool[Array, ""]:
         return jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all()
 
     def moved(
-        self, y: tuple[Array, Path], found: Innovations, args: Likelihood, damping: Float[Array, ""]
+        self, y: tuple[Array, Path], found: Innovations, args: Float[Array, " z"], damping: Float[Array, ""]
     ) -> tuple[tuple[Array, Path], Float[Array, ""]]:
         z, _ = y
-        h, g = found.h.sum(0) + jnp.diag(args.precision), found.g.sum(0) + args.precision * z
+        h, g = found.h.sum(0) + jnp.diag(args), found.g.sum(0) + args * z
         scale = jnp.diag(h) + 1e-12 * jnp.diag(h).max()
         d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g, assume_a="pos")
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
@@ -635,26 +689,53 @@ def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damp
         "least": jnp.asarray(least, jnp.result_type(float)),
         "damping": jnp.asarray(damping, jnp.result_type(float)),
     }
-    return _maximise(task, z, path, options)
+    y, found, stats = minimise_outside(
+        lambda y: _improbable(y, task), FilterGaussNewton(), (z, path), task.precision, options
+    )
+    return Likeliest(y[0], found.path, stats["cost"], stats["predicted"], stats["damping"])
 
 
-@compiled
 def promise(task: Likelihood, z, path: Path, damping: float) -> Float[Array, ""]:
     """Half of minus twice the logarithm of the likelihood that a step from z would reach, by its slopes."""
-    (cost, found), solver = _improbable((z, path), task), FilterGaussNewton()
-    return cost - solver.moved((z, path), found, task, jnp.asarray(damping))[1]
+    cost, found = _improbable((z, path), task)
+    return cost - _promised(z, path, found, task.precision, jnp.asarray(damping))
 
 
 @compiled
-def _maximise(task: Likelihood, z, path: Path, options) -> Likeliest:
-    solution = minimise(_improbable, FilterGaussNewton(), (z, path), task, options)
-    stats = solution.stats
-    return Likeliest(
-        solution.value[0], solution.aux.path, stats["cost"], stats["predicted"], stats["damping"]
-    )
+def _promised(z, path: Path, found: Innovations, precision, damping):
+    return FilterGaussNewton().moved((z, path), found, precision, damping)[1]
 
 
 @compiled
+def _joined_beside(begin, every: Windowed, free: Free, force: Disturbance, index, group, spread, parts: int):
+    """What windows say of z and of the knots of a free wrench, added to what those before them did."""
+    given, width = every.end.shape[-1] - 1, free.end.shape[-1]
+    columns = given + parts * width
+
+    def of_window(window: Windowed, free: Free, index) -> Windowed:
+        place = given + index % parts * width
+
+        def beside(stays: Array, by_knots: Array) -> Array:
+            """What stays, with the window's own knots in their place before its last column."""
+            room = jnp.zeros((*stays.shape[:-1], columns + 1))
+            room = room.at[..., :given].set(stays[..., :-1]).at[..., -1].set(stays[..., -1])
+            return jax.lax.dynamic_update_slice_in_dim(room, by_knots, place, axis=-1)
+
+        both = beside(window.line.residual, free.residual), beside(window.end, free.end)
+        return eqx.tree_at(lambda w: (w.line.residual, w.end), window, both)
+
+    def each(carry, now):
+        total, message = carry
+        window, passed, group = now
+        forgotten = message.mean.at[:, given:columns].multiply(window.joined)
+        message = eqx.tree_at(lambda m: m.mean, message, forgotten)
+        information, _, message = window.after(message, passed, force, spread)
+        return (added(total, information, group), message), None
+
+    wide = jax.vmap(of_window)(every, free, index)
+    return jax.lax.scan(each, begin, (wide, _filtered(wide.line, force), group))[0]
+
+
 def free_wrench(
     problem: Problem,
     affine: Affine,
@@ -670,32 +751,9 @@ def free_wrench(
     - `knots`: of the wrench in each window, columns knot by knot on six axes; `parts`: windows in a row whose
       knots stand side by side, and are forgotten afterwards but for the disturbance.
     """
-    given, spread, width = affine.acts.shape[-1], _spread(problem), 6 * knots
-    columns = given + parts * width
-
-    def of_rows(rows, index):
-        window = Windowed.of(rows, given, path, force, index)
-        place = given + index % parts * width
-
-        def beside(stays: Array, by_knots: Array) -> Array:
-            """What stays, with the window's own knots in their place before its last column."""
-            room = jnp.zeros((*stays.shape[:-1], columns + 1))
-            room = room.at[..., :given].set(stays[..., :-1]).at[..., -1].set(stays[..., -1])
-            return jax.lax.dynamic_update_slice_in_dim(room, by_knots, place, axis=-1)
-
-        aside = beside(window.line.residual, rows.jacobian[..., 12 + given :])
-        end = beside(window.end, rows.end_by[:, 12 + given :])
-        window = eqx.tree_at(lambda w: (w.line.residual, w.end), window, (aside, end))
-        return window, filtered(window.line, force), of_filled(group, groups, index)
-
-    def each(carry, now):
-        total, message = carry
-        window, passed, group = now
-        forgotten = message.mean.at[:, given:columns].multiply(window.joined)
-        message = eqx.tree_at(lambda m: m.mean, message, forgotten)
-        information, _, message = window.after(message, passed, force, spread)
-        return (added(total, information, group), message), None
-
-    begin = jnp.zeros((groups + 1, columns + 1, columns + 1)), _nothing_known(force, columns + 1)
-    every = pushed(problem, force, path), affine, path.delta, knots
-    return swept(*every, of_rows, each, begin)[0][0][:-1]
+    columns, spread = affine.acts.shape[-1] + 6 * knots * parts + 1, _spread(problem)
+    carry = jnp.zeros((groups + 1, columns, columns)), _nothing_known(force, columns)
+    for every, free, index in _in_turn(problem, affine, force, path, knots):
+        of = of_filled(group, groups, index)
+        carry = _joined_beside(carry, every, free, force, jnp.asarray(index), of, spread, parts)
+    return carry[0][:-1]
