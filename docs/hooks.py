@@ -39,7 +39,8 @@ _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^()\s]+)\)")
 def outside() -> dict[str, str]:
     """Pages that lie elsewhere in the repository: their paths there, and in the site."""
     studies = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "experiments").rglob("README.md"))
-    return {"README.md": "index.md"} | {path: path for path in studies if "/out/" not in path}
+    top = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+    return top | {path: path for path in studies if "/out/" not in path}
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

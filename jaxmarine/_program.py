@@ -1,8 +1,9 @@
 """Which program it is that answers."""
 
 import hashlib
-from importlib.metadata import version
 from pathlib import Path
+
+from ._version import __version__
 
 
 def program(package: Path = Path(__file__).parent) -> str:
@@ -12,4 +13,4 @@ def program(package: Path = Path(__file__).parent) -> str:
     """
     sources = sorted(package.rglob("*.py"), key=lambda path: path.relative_to(package).as_posix())
     whole = b"".join(path.read_bytes() for path in sources)
-    return f"{version('jaxmarine')} {hashlib.sha256(whole).hexdigest()[:12]}"
+    return f"{__version__} {hashlib.sha256(whole).hexdigest()[:12]}"

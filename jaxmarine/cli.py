@@ -7,26 +7,28 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from enum import StrEnum
 from importlib import import_module
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.text import Text
-
+from . import __version__
 from ._errors import InputError
+from ._extras import need, of_extra
 from ._progress import FOUND, Estimate
 from ._start import prepare
+
+with of_extra("cli", "The command line"):
+    import typer
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        SpinnerColumn,
+        Task,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.text import Text
 
 Result = TypeVar("Result")
 
@@ -108,7 +110,7 @@ class _Left(ProgressColumn):
 
 def _version(asked: bool) -> None:
     if asked:
-        _say(f"jaxmarine {version('jaxmarine')}")
+        _say(f"jaxmarine {__version__}")
         raise typer.Exit
 
 
@@ -148,7 +150,7 @@ def diagnose(
     from .logs import read_logs
     from .vehicle_io import load_vehicle
 
-    _folder(out, make=False)
+    _can_report(out)
     craft = load_vehicle(vehicle)
     columns_map = _columns(columns)
     logs = read_logs(train, craft, columns_map)
@@ -159,6 +161,12 @@ def diagnose(
             lambda tell: run(craft, logs, held_out, window=window, progress=tell), tell, _import_reports
         )
     _write(result, out, said=_notes(*logs, *held_out))
+
+
+def _can_report(out: Path) -> None:
+    """Checks that a report could be written, before the work is done."""
+    need(("jinja2", "matplotlib"), "report", "A report")
+    _folder(out, make=False)
 
 
 def _import_reports() -> None:
@@ -659,7 +667,7 @@ def demo(
     from .logs import write_log
     from .vehicle_io import save_vehicle
 
-    _folder(out, make=False)
+    _can_report(out)
     shown = DEMOS[craft]
     vehicle = shown.vehicle()
     with _progress(f"simulating {vehicle.name}") as tell:

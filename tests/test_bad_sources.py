@@ -325,7 +325,7 @@ def test_a_missing_library_is_named_with_what_installs_it(bag, monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", without)
     message = refusal(lambda: read_log(bag, BOAT, mapped()))
-    assert "needs the library rosbags" in message and "pip install '.[bags]'" in message
+    assert "needs the library rosbags" in message and "pip install 'jaxmarine[bags]'" in message
 
 
 # --- ArduPilot -------------------------------------------------------------------------------

@@ -11,11 +11,12 @@ A further format is one more such module in this folder.
 import os
 import pkgutil
 from collections.abc import Sequence
-from importlib import import_module, util
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
 from .._errors import InputError
+from .._extras import need
 from .._files import did_you_mean
 from .._precision import need_double
 from ..vehicle import Vehicle
@@ -45,12 +46,7 @@ def export(vehicle: Vehicle, path: str | os.PathLike[str], to: str) -> tuple[str
     if to not in FORMATS:
         raise InputError(f"Format `{to}` is not known; {did_you_mean(to, FORMATS)}")
     form = cast(Format, import_module(f".{to}", __name__))
-    missing = [package for package in form.NEEDS if util.find_spec(package) is None]
-    if missing:
-        raise InputError(
-            f"Format `{to}` needs the package {missing[0]}, which is not installed; run "
-            "`pip install 'jaxmarine[exports]'`."
-        )
+    need(form.NEEDS, "exports", f"Format `{to}`")
     notes = form.lost(vehicle)
     form.write(vehicle, Path(path), notes)
     return notes

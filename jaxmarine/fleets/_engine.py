@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from .._errors import InputError
+from .._extras import of_extra
 from ._job import Job, Outcome
 
 Work = Callable[[Job], Outcome]
@@ -74,12 +75,8 @@ def worked(
 
 
 def _distributed() -> Any:
-    try:
+    with of_extra("fleet", "A fleet"):
         return importlib.import_module("distributed")
-    except ImportError as error:
-        raise InputError(
-            "A fleet needs dask.distributed, which is not installed; run `pip install 'jaxmarine[fleet]'`."
-        ) from error
 
 
 @contextlib.contextmanager

@@ -7,19 +7,22 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from .._errors import InputError
+from .._extras import of_extra
 from .._files import written_whole
 from .._program import program
 from .._progress import Progress, silent
 from ._engine import Work, worked
 from ._folder import Folder
 from ._job import Job, Outcome, job_of
-from ._page import page
-from ._rows import Row, frame_of
-from ._table import Entry, read_entries
-from ._work import diagnosed
+
+with of_extra("fleet", "A fleet"):
+    import pandas as pd
+
+    from ._page import page
+    from ._rows import Row, frame_of
+    from ._table import Entry, read_entries
+    from ._work import diagnosed
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,19 +6,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from .._errors import InputError
+from .._extras import of_extra
 from .._files import listed
 from .._types import ATTITUDE, BATTERY, CHANNELS, WRENCH
 from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
 from ._log import Log
-from ._mapped import MappedFile, from_start, open_mapped
 from ._notes import Note
-from ._table import write_table
-from ._wind import add_true_wind
+
+with of_extra("files", "A log in a file"):
+    import pandas as pd
+
+    from ._mapped import MappedFile, from_start, open_mapped
+    from ._table import write_table
+    from ._wind import add_true_wind
 
 # Fewer samples than this hold no window that could be compared with a simulation.
 _MIN_ROWS = 10

@@ -12,13 +12,17 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-import pandas as pd
-import pyarrow
-import pyarrow.parquet
 
 from .._errors import InputError
+from .._extras import of_extra
 from .._files import MOST_BYTES, file_to_hold, written_whole
-from ._sources import read_matlab
+
+with of_extra("files", "A log in a file"):
+    import pandas as pd
+    import pyarrow
+    import pyarrow.parquet
+
+    from ._sources import read_matlab
 
 _WRITTEN = (".csv", ".csv.gz", ".parquet")
 _READ = (*_WRITTEN, ".mat")

@@ -1,7 +1,6 @@
 """The page: what the template shows, put together from words and figures."""
 
 import dataclasses
-import importlib.metadata
 import math
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import markupsafe
 import numpy as np
 
 from .._types import CHANNEL_UNITS, CHANNELS, DOFS, SENSORS
+from .._version import __version__
 from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from ..fitting import AxisCheck, sparkline
 from ..fitting import percent as relative
@@ -368,7 +368,7 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             f"{count(len(diagnosis.rounds), 'round')}, each of which scores every suspect and refits the "
             f"most promising: {count(sum(map(len, diagnosis.rounds)), 'refit')} in all",
         ),
-        ("Program", f"jaxmarine {importlib.metadata.version('jaxmarine')}"),
+        ("Program", f"jaxmarine {__version__}"),
     ]
 
 

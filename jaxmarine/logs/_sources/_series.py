@@ -50,7 +50,7 @@ def reading(path: Path, kind: str, advice: str) -> Iterator[None]:
     except ImportError as error:
         raise InputError(
             f"{path}: needs the library {error.name or error}, which is not installed; run "
-            "`pip install '.[bags]'` in its clone."
+            "`pip install 'jaxmarine[bags]'`."
         ) from error
     except Exception as error:
         # Parsers of foreign bytes fail in every way there is: struct, assertion, key, unicode, memory.
