@@ -11,6 +11,7 @@ from . import physics as physics
 from . import reports as reports
 from . import simulation as simulation
 from ._errors import InputError as InputError
+from ._start import keep_programs as keep_programs
 from ._version import __version__ as __version__
 from .allocation import allocate as allocate
 from .diagnosis import Diagnosis as Diagnosis

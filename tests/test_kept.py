@@ -13,43 +13,36 @@ from jaxmarine._angles import wrap_to_pi
 from jaxmarine.fitting import _parts
 from jaxmarine.physics import rotation
 
-# Says the row sums of a matrix, computed by a kept program, and how many programs the compiler was asked for.
+# Says a rotation, computed by a kept program, and how many programs of it were compiled or loaded by JAX.
 START = """
 import sys
-from pathlib import Path
 import jax, jax.numpy as jnp
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_compilation_cache_dir", sys.argv[2])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-from jaxmarine._compiled import compiled, keep_in
+from jaxmarine import keep_programs
+from jaxmarine._compiled import compiled
 from jaxmarine.physics import rotation
+jax.config.update("jax_enable_x64", True)
 names = []
 def heard(event, seconds, **more):
     if event == "/jax/core/compile/backend_compile_duration":
         names.append(more["fun_name"])
 jax.monitoring.register_event_duration_secs_listener(heard)
-keep_in(Path(sys.argv[1]))
-given = jnp.array([0.5, 0.5, -0.5, 0.5])
-turned = compiled(rotation)(given)
+keep_programs(sys.argv[1])
+turned = compiled(rotation)(jnp.array([0.5, 0.5, -0.5, 0.5]))
 print([round(float(x), 12) for x in turned.ravel()], sum("rotation" in name for name in names))
 """
 
 
-def started(kept: Path, cache: Path) -> tuple[str, int]:
+def started(folder: Path) -> tuple[str, int]:
     """What a process of its own computes, and how many of its programs were compiled."""
-    done = subprocess.run(
-        [sys.executable, "-c", START, kept, cache], capture_output=True, text=True, timeout=120
-    )
+    done = subprocess.run([sys.executable, "-c", START, folder], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     numbers, _, count = done.stdout.strip().rpartition(" ")
     return numbers, int(count)
 
 
 def test_a_later_start_compiles_nothing_and_computes_the_same(tmp_path):
-    kept, cache = tmp_path / "kept", tmp_path / "cache"
-    first, compiled_first = started(kept, cache)
-    again, compiled_again = started(kept, cache)
+    first, compiled_first = started(tmp_path)
+    again, compiled_again = started(tmp_path)
     # The rotation by 120 degrees about (1, -1, 1): a permutation of the axes with signs, in closed form.
     assert first == again == str([0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0])
     assert (compiled_first, compiled_again) == (1, 0)
@@ -57,21 +50,19 @@ def test_a_later_start_compiles_nothing_and_computes_the_same(tmp_path):
 
 def test_programs_run_that_the_own_cache_of_jax_knew_before(tmp_path):
     # Its programs lose their kernels where they are kept a second time.
-    kept, cache = tmp_path / "kept", tmp_path / "cache"
-    first = started(kept, cache)
-    for file in kept.iterdir():
+    first = started(tmp_path)
+    for file in (tmp_path / "programs").iterdir():
         file.unlink()
-    assert started(kept, cache) == first
-    assert started(kept, cache) == (first[0], 0)
+    assert started(tmp_path) == first
+    assert started(tmp_path) == (first[0], 0)
 
 
 def test_what_is_damaged_is_made_anew(tmp_path):
-    kept, cache = tmp_path / "kept", tmp_path / "cache"
-    first = started(kept, cache)
-    (file,) = kept.iterdir()
+    first = started(tmp_path)
+    (file,) = (tmp_path / "programs").iterdir()
     file.write_bytes(file.read_bytes()[:100])
-    assert started(kept, cache) == first
-    assert started(kept, cache) == (first[0], 0)
+    assert started(tmp_path) == first
+    assert started(tmp_path) == (first[0], 0)
 
 
 @pytest.fixture
