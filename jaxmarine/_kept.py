@@ -13,6 +13,7 @@ import io
 import os
 import pickle
 import platform
+import stat
 import uuid
 from collections.abc import Callable
 from importlib.metadata import version
@@ -91,6 +92,18 @@ def _machine() -> str:
     return repr((program(), versions, options, platform.machine(), platform.processor(), features[:1]))
 
 
+def _of_own(path: Path) -> bytes:
+    """A file's content; raises `PermissionError` where somebody else could have written it.
+
+    What is kept is run as it is, as what JAX's own cache holds is.
+    """
+    for place in (path, path.parent) if hasattr(os, "getuid") else ():
+        status = place.stat()
+        if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            raise PermissionError(f"{place} may be written by others.")
+    return path.read_bytes()
+
+
 class _Program(NamedTuple):
     """A compiled program from arrays to arrays, and what it gives, with an `_Array` for each array."""
 
@@ -145,13 +158,13 @@ class Kept:
         path = self.folder / f"{hashlib.sha256(words).hexdigest()}.program"
         # Whatever is wrong with what was kept, it can be made anew; and where nothing can be kept, used.
         with contextlib.suppress(Exception):
-            run, gives = pickle.loads(path.read_bytes())
+            run, gives = pickle.loads(_of_own(path))
             return _Program(_loaded(*run), gives)
         run, gives = _made(function, options, described)
         with contextlib.suppress(Exception):
             payload, takes, returns = serialize(run)
             whole = _pickled(((payload, takes.num_leaves, returns.num_leaves), gives))
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with written_whole(path) as part:
                 part.write_bytes(whole)
         return _Program(run, gives)

@@ -1,5 +1,8 @@
 """Programs that are kept between starts: the same numbers, none taken for another, all of them run."""
 
+import os
+import pickle
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -65,9 +68,16 @@ def test_what_is_damaged_is_made_anew(tmp_path):
     assert started(tmp_path) == (first[0], 0)
 
 
+class Bomb:
+    """What runs code when it is unpickled."""
+
+    def __reduce__(self):
+        return (exec, ("import sys; sys.unpickled = True",))
+
+
 @pytest.fixture
 def kept(tmp_path) -> _kept.Kept:
-    return _kept.Kept(tmp_path)
+    return _kept.Kept(tmp_path / "programs")
 
 
 def test_other_shapes_types_options_and_sources_are_other_programs(kept, monkeypatch):
@@ -96,6 +106,24 @@ def test_a_function_of_somebody_else_runs_and_is_not_kept(kept):
     assert folded.shape == (2, 2) and len(list(kept.folder.iterdir())) == 1
     assert kept(jax.tree.map, None, ((twice, given), {})).tolist() == [0.0, 2.0, 4.0]
     assert len(list(kept.folder.iterdir())) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owner here")
+@pytest.mark.parametrize("whose", ["file", "folder"])
+def test_what_others_can_write_is_not_run(tmp_path, whose):
+    folder = tmp_path / "programs"
+    one = jnp.array([1.0, 0.0, 0.0, 0.0])
+    _kept.Kept(folder)(rotation, None, ((one,), {}))
+    (file,) = folder.iterdir()
+    file.write_bytes(pickle.dumps(Bomb()))
+    (file if whose == "file" else folder).chmod(0o777)
+    turned = _kept.Kept(folder)(rotation, None, ((one,), {}))
+    assert turned.tolist() == jnp.eye(3).tolist() and not hasattr(sys, "unpickled")
+
+
+def test_a_new_folder_is_the_users_alone(kept):
+    kept(rotation, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {}))
+    assert stat.S_IMODE(kept.folder.stat().st_mode) == 0o700
 
 
 def test_without_a_folder_to_write_into_programs_run(tmp_path):

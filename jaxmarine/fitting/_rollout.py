@@ -172,7 +172,7 @@ def fluid_memory(problem: Problem, plants: Plant):
             between = 0.5 * (velocity[:-1] + velocity[1:])
             # All samples of a log at once: one after another they took a fifth of a linearisation.
             of_start, rest = jax.lax.associative_scan(then, (kept, (1 - kept) * between))
-            return jnp.concatenate([velocity[:1], of_start * velocity[0] + rest])
+            return jnp.concatenate([velocity[:1], of_start * velocity[:1] + rest])
 
         return jax.vmap(one)(records.dt, relative, records.segment)
 
