@@ -641,7 +641,8 @@ class Kind(StrEnum):
 
 
 @app.command(
-    epilog="Example: `jaxmarine init --like rov --mass 11.5 --length 0.46 --beam 0.58 --draft 0.25 --out rov.toml`"
+    epilog="Example: `jaxmarine init --like rov --mass 11.5 --length 0.46 --beam 0.58 --draft 0.25 "
+    "--out rov.toml`"
 )
 def init(
     like: Annotated[

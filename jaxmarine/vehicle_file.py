@@ -6,6 +6,7 @@ sign.
 
 import functools
 import os
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -28,6 +29,7 @@ _SYMMETRY = 1e-6
 # Of a share of the command that acts as c|c|. Below, more command would bring less thrust before it is full;
 # above, the lower half of all commands would push the wrong way.
 _CURVED = (-1.0, 2.0)
+_WIDEST_COMMENT = 108
 _SHARE = "a positive number, a share of the value"
 
 
@@ -486,7 +488,8 @@ def write_vehicle_file(
 
 
 def _comments(lines: Iterable[str]) -> str:
-    return "".join(f"# {' '.join(line.split())}\n" for line in lines)
+    wrap = textwrap.TextWrapper(_WIDEST_COMMENT, break_long_words=False, break_on_hyphens=False).wrap
+    return "".join(f"# {part}\n" for line in lines for part in wrap(line))
 
 
 def _toml(file: VehicleFile, notes: Mapping[str, Iterable[str]]) -> str:

@@ -17,7 +17,7 @@ from ._parts import Guess
 
 
 class Kind(NamedTuple):
-    """How a craft of a kind is guessed: its top speed by length and fullness, and all the rest by its hull."""
+    """How a craft of a kind is guessed: its top speed by length and fullness, all the rest by its hull."""
 
     speed: Callable[[float, float], float]
     guess: Callable[[Hull], Guess]
@@ -42,16 +42,16 @@ def guess_vehicle(
     speed: float | None = None,
     name: str | None = None,
 ) -> None:
-    """Writes a vehicle file, with comments, from main dimensions alone; raises `InputError` with one sentence.
+    """Writes a vehicle file, with comments, from main dimensions; raises `InputError` with one sentence.
 
     - `like`: "rov", "auv", "ship" or "boat" (with two thrusters).
     - `mass` [kg]; `length`, `beam` [m]; `draft` [m]: of an rov or auv its height.
     - `speed` [m/s]: the most it makes, by which thrust is sized; default: what is usual.
     - `name`: default `like`.
 
-    Added mass, damping and lift are regressions and theory, each with its source above it in the file; weight is
-    buoyancy, and thrusters, propellers and fins are placeholders. How far numbers may be off stands in the table
-    `[prior]`, by which fits and diagnoses hold them.
+    Added mass, damping and lift are regressions and theory, each with its source above it in the file; weight
+    is buoyancy, and thrusters, propellers and fins are placeholders. How far numbers may be off stands in the
+    table `[prior]`, by which fits and diagnoses hold them.
     """
     if like not in KINDS:
         raise InputError(f"--like {like}: is no kind of craft; {did_you_mean(like, KINDS)}")
@@ -64,14 +64,15 @@ def guess_vehicle(
     data = {"schema": 1, "name": like if name is None else name} | told.tables
     head = (
         f"Guessed by `jaxmarine init --like {like} --mass {mass:g} --length {length:g} --beam {beam:g} "
-        f"--draft {draft:g}`; nothing of it was measured.",
-        "Measure what is easy (centres, places, thrust at the bollard), fit the rest, and correct what stands here.",
+        f"--draft {draft:g} --speed {speed:.4g}`; nothing of it was measured.",
+        "Measure what is easy (centres, places, thrust at the bollard), fit the rest, and correct what "
+        "stands here.",
     )
     write_vehicle_file(validated(VehicleFile, data, str(out)), out, head, told.notes | {"prior": _PRIOR_NOTE})
 
 
 _PRIOR_NOTE = (
-    "How far the numbers above and below may be off: one standard deviation, as a share of each value (0.4 is a "
-    "factor of 1.5, 0.7 one of 2).",
+    "How far the numbers above and below may be off: one standard deviation, as a share of each value (0.4 "
+    "is a factor of 1.5, 0.7 one of 2).",
     "`fit` and `diagnose` hold them so; take the table away once they are known.",
 )

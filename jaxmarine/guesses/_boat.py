@@ -55,24 +55,26 @@ def guess(hull: Hull) -> Guess:
     }
     notes = {
         "body": (
-            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, 0.4 of "
-            "the beam.",
+            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, "
+            "0.4 of the beam.",
         ),
         "added_mass": (
-            "Ahead after Söding (1982). Aside and in yaw: strips of half ellipses (after Newman 1977), less what "
-            "flows round the ends by Lamb's factors. Of two hulls take their draft, and expect more aside.",
+            "Ahead after Söding (1982). Aside and in yaw: strips of half ellipses (after Newman 1977), "
+            "less what flows round the ends by Lamb's factors. Of two hulls take their draft, and expect "
+            "more aside.",
         ),
         "damping": (
-            f"Quadratic ahead: friction by ITTC (1957) on Mumford's surface, and {_RESIDUARY:g} for waves. Across: "
-            f"strips with a drag coefficient of {_DRAG:g}. Linear: as large as that at 0.15 of the top speed.",
+            f"Quadratic ahead: friction by ITTC (1957) on Mumford's surface, and {_RESIDUARY:g} for waves. "
+            f"Across: strips with a drag coefficient of {_DRAG:g}. Linear: as large as that at 0.15 of the "
+            "top speed.",
         ),
         "thruster": (
-            f"Placeholders: two aft, such that {hull.speed:.3g} m/s are the most ahead. Measure their places, and "
-            "the thrust at the bollard ahead and astern.",
+            f"Placeholders: two aft, such that {hull.speed:.3g} m/s are the most ahead. Measure their "
+            "places, and the thrust at the bollard ahead and astern.",
         ),
         "effect": (
-            "The hull as a wing of low aspect ratio, which is what the regression of Clarke et al. (1983) leaves of "
-            "a narrow hull, less what the added mass brings.",
+            "The hull as a wing of low aspect ratio, which is what the regression of Clarke et al. (1983) "
+            "leaves of a narrow hull, less what the added mass brings.",
         ),
     }
     return Guess(tables, notes)

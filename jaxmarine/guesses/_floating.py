@@ -17,8 +17,8 @@ def floating_body(hull: Hull) -> dict[str, Any]:
 def added_ahead(hull: Hull) -> float:
     """2.7 rho volume^(5/3) / length² [kg].
 
-    Source: Söding (1982), "Prediction of ship steering capabilities", Schiffstechnik 29, as `addedMassSurge` of
-    cybergalactic/MSS has it.
+    Source: Söding (1982), "Prediction of ship steering capabilities", Schiffstechnik, 3-29, as
+    `addedMassSurge` of cybergalactic/MSS has it.
     """
     return 2.7 * hull.density * hull.volume ** (5.0 / 3.0) / hull.length**2
 

@@ -53,6 +53,6 @@ def check(hull: Hull) -> None:
     if not _EMPTY < hull.fullness <= _FULL:
         much = "more than" if hull.fullness > _FULL else "next to nothing of"
         raise InputError(
-            f"--mass {hull.mass:g}: a craft that floats with {hull.mass:g} kg displaces {much} the box of its "
-            f"length, beam and draft holds, {box:.4g} kg of water; check the units (kg, m)."
+            f"--mass {hull.mass:g}: a craft that floats with {hull.mass:g} kg displaces {much} the box of "
+            f"its length, beam and draft holds, {box:.4g} kg of water; check the units (kg, m)."
         )

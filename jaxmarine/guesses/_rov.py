@@ -13,7 +13,7 @@ _DRAG = 1.05
 _GATHERED = 0.6
 # From the centre of gravity up to that of buoyancy, as a share of the height.
 _RIGHTING = 0.1
-_PRIOR = {"added_mass": 0.5, "linear": 1.0, "quadratic": 0.7, "thrust": 0.4}
+_PRIOR = {"added_mass": 0.5, "linear": 1.0, "quadratic": 0.7, "thrust": 0.4, "lift": 0.5}
 
 
 def speed(length: float, fullness: float) -> float:
@@ -25,8 +25,9 @@ def speed(length: float, fullness: float) -> float:
 def guess(hull: Hull) -> Guess:
     """Six degrees of freedom about the centre of buoyancy.
 
-    Water goes through the frame, so that its added mass is that of a smaller box: of the same proportions, but
-    of the volume that it displaces. Its drag is that of the whole.
+    Water goes through the frame, so that its added mass is that of a smaller box: of the same proportions,
+    but of the volume that it displaces. Its drag is that of the whole. Behind it the flow does not close:
+    there is no Munk moment.
     """
     length, beam, height = hull.length, hull.beam, hull.draft
     small = hull.fullness ** (1.0 / 3.0)
@@ -73,6 +74,9 @@ def guess(hull: Hull) -> Guess:
             for name, (at, to) in places.items()
         ],
         "prior": _PRIOR,
+        "effect": [
+            {"effect": "hull_lift", "N_uv": rounded(ahead - aside), "M_uw": rounded(down - ahead)},
+        ],
     }
     notes = {
         "body": (
@@ -80,16 +84,21 @@ def guess(hull: Hull) -> Guess:
             "height below that of buoyancy, and the origin there. Weigh it, and measure its trim.",
         ),
         "added_mass": (
-            f"A box of the same proportions that displaces as much water, {hull.fullness:.2g} of the one around "
-            "it, by DNV-RP-H103 (2011), sec. 4.6. About axes: each face's, spread along the other side.",
+            f"A box of the same proportions that displaces as much water, {hull.fullness:.2g} of the one "
+            "around it, after DNV-RP-H103 (2011). About axes: each face's, spread along the other "
+            "side.",
         ),
         "damping": (
             f"Quadratic: a drag coefficient of {_DRAG:g} (a cube) on the whole faces, and strips of them for "
             "turns. Linear: as large as that at 0.15 of the top speed.",
         ),
+        "effect": (
+            "The Munk moment, which the added mass brings, taken away: behind a frame the flow does not "
+            "close.",
+        ),
         "thruster": (
-            f"A placeholder, as of many: four aslant, two upright. Thrust such that {hull.speed:g} m/s are the "
-            "most ahead. Measure their places, and the thrust at the bollard.",
+            f"A placeholder, as of many: four aslant, two upright. Thrust such that {hull.speed:g} m/s are "
+            "the most ahead. Measure their places, and the thrust at the bollard.",
         ),
     }
     return Guess(tables, notes)

@@ -17,7 +17,10 @@ _PRIOR = {"added_mass": 0.3, "linear": 1.0, "quadratic": 0.4, "propeller": 0.3, 
 
 
 def speed(length: float, fullness: float) -> float:
-    """Speed [m/s] for which so full a ship is built: a Froude number of (1.08 - C_B) / 1.68, after Alexander."""
+    """Speed [m/s] for which so full a ship is built: its Froude number is (1.08 - C_B) / 1.68.
+
+    Source: after Alexander's formula.
+    """
     froude = min(max((1.08 - fullness) / 1.68, 0.12), 0.3)
     return froude * math.sqrt(9.81 * length)
 
@@ -82,29 +85,30 @@ def guess(hull: Hull) -> Guess:
     }
     notes = {
         "body": (
-            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, 0.4 of "
-            "the beam.",
+            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, "
+            "0.4 of the beam.",
         ),
         "added_mass": (
-            "Ahead after Söding (1982). Aside and in yaw by the regression of Clarke, Gedling and Hine (1983), as "
-            "PythonVehicleSimulator has it; what couples the two is left out.",
+            "Ahead after Söding (1982). Aside and in yaw by the regression of Clarke, Gedling and Hine "
+            "(1983), as PythonVehicleSimulator has it; what couples the two is left out.",
         ),
         "damping": (
-            "Quadratic ahead: friction by ITTC (1957) on Mumford's surface, form factor after Watanabe, and "
-            f"{_RESIDUARY:g} for the rest. Across: strips with Hoerner's drag of ships' sections. Linear: as large "
-            "as that at 0.02 of the speed.",
+            "Quadratic ahead: friction by ITTC (1957) on Mumford's surface, form factor after Watanabe, "
+            f"and {_RESIDUARY:g} for the rest. Across: strips with Hoerner's drag of ships' sections. "
+            "Linear: as large as that at 0.02 of the speed.",
         ),
         "propeller": (
-            f"A placeholder: 0.6 of the draft, K_T of KVLCC2 (Yasukawa and Yoshimura 2015), wake after Taylor, at "
-            f"most the turns of {hull.speed:.3g} m/s.",
+            "A placeholder: 0.6 of the draft, K_T of KVLCC2 (Yasukawa and Yoshimura 2015), wake after "
+            f"Taylor, at most the turns of {hull.speed:.3g} m/s.",
         ),
         "surface": (
-            "A placeholder: area after Det Norske Veritas, lift after Fujii and Tuda (1961), what the hull makes of "
-            "it as of KVLCC2.",
+            "A placeholder: area after Det Norske Veritas, lift after Fujii and Tuda (1961), what the hull "
+            "makes of it as of KVLCC2.",
         ),
         "effect": (
-            "By Clarke, Gedling and Hine (1983): their forces by drift and turn less what the added mass brings. A "
-            "full ship may be unstable on its course, as many are; the drag across bounds its turn.",
+            "By Clarke, Gedling and Hine (1983): their forces by drift and turn less what the added mass "
+            "brings. A full ship may be unstable on its course, as many are; the drag across bounds its "
+            "turn.",
         ),
     }
     return Guess(tables, notes)

@@ -4,11 +4,11 @@ import math
 
 
 def swaying_section(draft: float, density: float) -> float:
-    r"""Added mass per length [kg/m] of the lower half of an ellipse that moves sideways: $\frac12 \pi \rho T^2$.
+    r"""Added mass per length [kg/m] of the lower half of an ellipse that moves sideways, $\pi \rho T^2 / 2$.
 
     It does not depend on the beam; the water's surface is taken to be a wall, as for slow motions.
 
-    Source: strip theory, after Newman (1977), Marine Hydrodynamics, table 4.3, and Fossen (2021), sec. 5.
+    Source: after Newman (1977), Marine Hydrodynamics, on added mass of sections.
     """
     return 0.5 * math.pi * density * draft**2
 
@@ -19,7 +19,7 @@ def cross_flow(coefficient: float, width: float, length: float, density: float) 
     $\frac12 \rho C_D d \int dx$ and $\frac12 \rho C_D d \int |x|^3 dx = \frac12 \rho C_D d L^4 / 32$ over the
     length L, with `width` d across the flow and across the length.
 
-    Source: strip theory, Faltinsen (1990), sec. 6; Fossen (2021), sec. 6.4.
+    Source: strip theory, after Faltinsen (1990) and Fossen (2021), on cross-flow drag.
     """
     half = 0.5 * density * coefficient * width
     return half * length, half * length**4 / 32.0
