@@ -4,6 +4,7 @@ from . import effects as effects
 from . import exports as exports
 from . import fitting as fitting
 from . import fleets as fleets
+from . import guesses as guesses
 from . import imports as imports
 from . import logs as logs
 from . import networks as networks
@@ -49,6 +50,7 @@ from .fitting import (
 )
 from .fleets import Fleet as Fleet
 from .fleets import fleet as fleet
+from .guesses import guess_vehicle as guess_vehicle
 from .imports import import_vehicle as import_vehicle
 from .logs import Log as Log
 from .logs import read_columns as read_columns

@@ -640,12 +640,47 @@ def import_(
 
 
 class Kind(StrEnum):
-    """Kinds of craft that `demo` knows, by `examples.DEMOS`."""
+    """Kinds of craft that `demo` and `init` know, by `examples.DEMOS` and `guesses.KINDS`."""
 
     ROV = "rov"
     AUV = "auv"
     SHIP = "ship"
     BOAT = "boat"
+
+
+@app.command(
+    epilog="Example: `jaxmarine init --like rov --mass 11.5 --length 0.46 --beam 0.58 --draft 0.25 "
+    "--out rov.toml`"
+)
+def init(
+    like: Annotated[
+        Kind,
+        typer.Option(
+            "--like",
+            help="An ROV with a frame, a torpedo, a ship with a rudder, or a boat with two thrusters.",
+            show_default=False,
+        ),
+    ],
+    mass: Annotated[float, typer.Option("--mass", help="Mass in air [kg].", show_default=False)],
+    length: Annotated[float, typer.Option("--length", help="Length [m].", show_default=False)],
+    beam: Annotated[float, typer.Option("--beam", help="Beam [m].", show_default=False)],
+    draft: Annotated[
+        float, typer.Option("--draft", help="Draft, of an rov or auv its height [m].", show_default=False)
+    ],
+    speed: Annotated[
+        float | None,
+        typer.Option("--speed", help="Top speed, by which thrust is sized [m/s]; default what is usual."),
+    ] = None,
+    name: Annotated[str | None, typer.Option("--name", help="Name of the vehicle; default its kind.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="Vehicle file (TOML).")] = Path("vehicle.toml"),
+) -> None:
+    """Guesses a vehicle file from main dimensions, with sources and with how far it may be off."""
+    from .guesses import guess_vehicle
+
+    _file(out)
+    sizes = {"mass": mass, "length": length, "beam": beam, "draft": draft}
+    guess_vehicle(out, like.value, **sizes, speed=speed, name=name)
+    _say(f"Vehicle file: {out}")
 
 
 @app.command(epilog="Example: `jaxmarine demo --craft ship --out demo-report`")

@@ -178,6 +178,8 @@ class Vehicle(eqx.Module):
     thruster_names: tuple[str, ...] = eqx.field(static=True)
     # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    # How far sections of the file may be off, as shares of their values (keys of its table `[prior]`).
+    prior: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     slider: Slider | None = None
     actuators: tuple[AbstractActuators, ...] = ()
 

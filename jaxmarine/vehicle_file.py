@@ -6,8 +6,10 @@ sign.
 
 import functools
 import os
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -27,6 +29,8 @@ _SYMMETRY = 1e-6
 # Of a share of the command that acts as c|c|. Below, more command would bring less thrust before it is full;
 # above, the lower half of all commands would push the wrong way.
 _CURVED = (-1.0, 2.0)
+_WIDEST_COMMENT = 108
+_SHARE = "a positive number, a share of the value"
 
 
 class Environment(Table):
@@ -165,6 +169,25 @@ class Sensors(Table):
         return self.model_dump(exclude_none=True)
 
 
+class Prior(Table):
+    """How far sections of the file may be off: one standard deviation, as a share of each number's value.
+
+    0.4 is a factor of 1.5, 0.7 one of 2. Where a section has none, it is for the reader to say.
+    """
+
+    added_mass: Number | None = Field(default=None, gt=0, description=_SHARE)
+    linear: Number | None = Field(default=None, gt=0, description=_SHARE)
+    quadratic: Number | None = Field(default=None, gt=0, description=_SHARE)
+    thrust: Number | None = Field(default=None, gt=0, description=_SHARE)
+    propeller: Number | None = Field(default=None, gt=0, description=_SHARE)
+    surface: Number | None = Field(default=None, gt=0, description=_SHARE)
+    lift: Number | None = Field(default=None, gt=0, description=_SHARE)
+
+    def stated(self) -> dict[str, float]:
+        """The sections that have one."""
+        return self.model_dump(exclude_none=True)
+
+
 class EffectEntry(Table):
     """One change that a diagnosis has added; all other keys of its table are `parameters`."""
 
@@ -234,6 +257,7 @@ class _VehicleFile(Table):
     thruster: tuple[Thruster, ...] = Field(default=(), description="tables [[thruster]]")
     slider: Slider | None = Field(default=None, description="a table [slider]")
     sensors: Sensors = Field(default=Sensors(), description="a table [sensors]")
+    prior: Prior = Field(default=Prior(), description="a table [prior]")
     effect: tuple[EffectEntry, ...] = Field(default=(), description="tables [[effect]]")
 
     @pydantic.field_validator("schema_version")
@@ -448,17 +472,27 @@ def read_vehicle_file(
     return file
 
 
-def write_vehicle_file(file: VehicleFile, path: str | os.PathLike[str], head: Iterable[str] = ()) -> None:
+def write_vehicle_file(
+    file: VehicleFile,
+    path: str | os.PathLike[str],
+    head: Iterable[str] = (),
+    notes: Mapping[str, Iterable[str]] = MappingProxyType({}),
+) -> None:
     """Write the file as TOML, whole or not at all; every number keeps all its digits.
 
     - `head`: comments before the first key.
+    - `notes`: comments before a table, or before the first of several, by its key.
     """
-    comments = "".join(f"# {' '.join(line.split())}\n" for line in head)
     with written_whole(path) as beside:
-        Path(beside).write_text(comments + _toml(file), encoding="utf-8")
+        Path(beside).write_text(_comments(head) + _toml(file, notes), encoding="utf-8")
 
 
-def _toml(file: VehicleFile) -> str:
+def _comments(lines: Iterable[str]) -> str:
+    wrap = textwrap.TextWrapper(_WIDEST_COMMENT, break_long_words=False, break_on_hyphens=False).wrap
+    return "".join(f"# {part}\n" for line in lines for part in wrap(line))
+
+
+def _toml(file: VehicleFile, notes: Mapping[str, Iterable[str]]) -> str:
     data = file.model_dump(by_alias=True, exclude_none=True)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and value}
     keys = ("thruster", *(kind.key for kind in file.kinds if not kind.single))
@@ -469,8 +503,15 @@ def _toml(file: VehicleFile) -> str:
         entries.append(("effect", entry | ({"inputs": inputs} if inputs else {}) | parameters))
     top = {key: value for key, value in data.items() if key in ("schema", "name", "dof")}
     parts = ["".join(map(_line, top.items()))]
-    parts += [f"[{key}]\n" + "".join(map(_line, table.items())) for key, table in tables.items()]
-    parts += [f"[[{key}]]\n" + "".join(map(_line, entry.items())) for key, entry in entries]
+    parts += [
+        _comments(notes.get(key, ())) + f"[{key}]\n" + "".join(map(_line, table.items()))
+        for key, table in tables.items()
+    ]
+    said = set()
+    for key, entry in entries:
+        told = () if key in said else notes.get(key, ())
+        parts.append(_comments(told) + f"[[{key}]]\n" + "".join(map(_line, entry.items())))
+        said.add(key)
     return "\n".join(parts)
 
 

@@ -153,6 +153,7 @@ def _vehicle(file: VehicleFile) -> Vehicle:
         dof=file.dof,
         thruster_names=file.thruster_names,
         sensors=tuple(file.sensors.stated().items()),
+        prior=tuple(file.prior.stated().items()),
         slider=None if file.slider is None else _slider(file.slider),
         actuators=file.actuators,
     )
@@ -294,6 +295,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
             ],
             "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
+            "prior": dict(vehicle.prior),
             "effect": entries,
             **{one.key: one.tables()[0] if one.single else one.tables() for one in others},
         },

@@ -31,6 +31,14 @@ FILED: dict[type[AbstractEffect], str] = {
     QuadraticDamping: "damping.quadratic",
     CoupledDamping: "damping.linear",
 }
+# The keys of the file's table `[prior]` that speak of them.
+STATED: dict[type[AbstractEffect], str] = {
+    AddedMass: "added_mass",
+    CoupledAddedMass: "added_mass",
+    LinearDamping: "linear",
+    QuadraticDamping: "quadratic",
+    CoupledDamping: "linear",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,10 +71,11 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
     """Added mass and damping of each free axis, with priors of a tenth of their value; then added mass and
     linear damping between axes, where the file has some.
 
-    Of the total mass for added mass. Where the file says zero on an axis, the prior is what brakes it by 2 %
-    a second (linear), or at 1 m/s or rad/s (quadratic).
+    Of the total mass for added mass. Where the file's table `[prior]` says by how much of their value they
+    may be off, it is that. Where the file says zero on an axis, the prior is what brakes it by 2 % a second
+    (linear), or at 1 m/s or rad/s (quadratic).
     """
-    mass = np.asarray(vehicle.mass_matrix)
+    mass, spreads = np.asarray(vehicle.mass_matrix), dict(vehicle.prior)
     out = []
     for i, suspect in enumerate(layout.suspects):
         if suspect.effect not in FILED:
@@ -76,6 +85,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
         if row != column and not value:
             continue
         scale = mass[row, column] if suspect.effect is AddedMass else value
+        share = spreads.get(STATED[suspect.effect], 0.0)
         out.append(
             Coefficient(
                 i,
@@ -84,7 +94,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
                 (row, column),
                 int(np.flatnonzero(layout.columns[i][:, 0])[0]),
                 float(value),
-                FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
+                share * abs(value) or FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
                 suspect.effect.units["value"],
             )
         )

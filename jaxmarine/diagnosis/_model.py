@@ -55,7 +55,7 @@ from ..fitting import (
 )
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
-from ._filed import base_coefficients
+from ._filed import FILE_ERROR, base_coefficients
 from ._fine import Fine, parts_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
@@ -683,6 +683,7 @@ class Workbench:
         """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
 
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
+        A prior that the file states itself, which may be wide, allows no more than that of a usual file.
         """
         speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
         # Of the model as a whole: what a member makes of a coefficient stands in its place.
@@ -691,7 +692,7 @@ class Workbench:
         for c in self.base:
             if c.diagonal and c.effect is not AddedMass:
                 axis, by_speed = c.place[0], c.effect is QuadraticDamping
-                least = c.value + theta[:, c.index] + c.prior
+                least = c.value + theta[:, c.index] + min(c.prior, FILE_ERROR * abs(c.value) or c.prior)
                 braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
         for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
             if suspect.effect is FluidMemory:

@@ -137,7 +137,7 @@ def fit(
       effect of the catalogue, which may be of any size), or standard deviations in the structure of
       `free(vehicle)`, where 0 holds an entry and inf means none. What the logs do not determine stays at the
       start by it, with that standard error. A learned network needs one, as its weights are never all
-      determined.
+      determined. What the table `[prior]` of the vehicle's file says goes before a number, and before none.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, the "diagonal", or "coupled": with the
       diagonal what joins surge, heave and pitch, and what joins sway, roll and yaw, as in a hull that is
       alike on port and starboard. Between axes a prior is relative to the geometric mean of their diagonals.
@@ -184,7 +184,7 @@ def fit(
         noise = median_noise(
             np.concatenate([look["noise"] for look in looks]) if looks else noises_of(vehicle, logs), names
         )
-    freed, scales = set_free(vehicle, free, prior, entries, dissipative)
+    freed, scales = set_free(vehicle, free, prior, entries, dissipative, spreads=dict(vehicle.prior))
     z_units = units(freed, scales)
     held = starts == "measured"
     if shares is not None:

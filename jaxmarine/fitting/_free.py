@@ -7,7 +7,8 @@ numbers: `Entries` takes them as they are, `Inertia` and `Dissipative` keep a ma
 import abc
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal
 
 import equinox as eqx
@@ -34,6 +35,13 @@ _SOFT, _NOTHING = 0.02, 0.01
 # first number of `kt` and of `kt_reverse`), the lift of a surface and drag across the flow.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
 _OF_ACTUATORS = ("kt", "kt_reverse", "lift_slope", "coefficient")
+# Which key of a file's table `[prior]` speaks of a leaf; of actuators and lift see `_section`.
+_SECTIONS = {
+    "added_mass": "added_mass",
+    "damping.linear": "linear",
+    "damping.quadratic": "quadratic",
+    **dict.fromkeys(_THRUSTS, "thrust"),
+}
 # Of a hull's lift, the power of its length that makes a mass the parameter.
 _LIFTS = {"Y_uv": -1, "Z_uw": -1, "N_uv": 0, "M_uw": 0, "Y_ur": 0, "N_ur": 1}
 # Share of its typical size at which damping on a diagonal begins that is zero in the file: no log shows it.
@@ -253,6 +261,7 @@ def set_free(
     entries: Selection = "all",
     dissipative: bool = False,
     linear: bool = False,
+    spreads: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Freed, Scales]:
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
@@ -265,6 +274,8 @@ def set_free(
     - `entries`: of 6x6 matrices all, those that are not zero, the diagonal, or with it what couples axes
       in a hull that is alike on port and starboard; never those of locked axes.
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
+    - `spreads`: widths by keys of a file's table `[prior]`, which go before a number for `prior`; of an added
+      mass relative to itself, of one that is zero to the total.
     """
     places, paths = _chosen(vehicle, free)
     leaves = jax.tree.leaves(vehicle)
@@ -272,17 +283,26 @@ def set_free(
     if {"added_mass", "body.matrix"} <= set(names):
         raise ValueError("Free `added_mass` or `body.matrix`: a log shows only their sum.")
     stds = _stated(prior, [leaves[place] for place in places], free, vehicle)
-    # A width relative to a number is one of its logarithm.
-    relative = isinstance(prior, float | int)
+    number = float(prior) if isinstance(prior, float | int) else None
     parts, sizes, widths, known = [], [], [], []
     for place, path, name, std in zip(places, paths, names, stds, strict=True):
         leaf, held = leaves[place], std == 0.0
+        stated = spreads.get(_section(vehicle, path, name)) if prior is None or number is not None else None
+        wide = number if stated is None else stated
+        # A width relative to a number is one of its logarithm.
+        relative = wide is not None
+        scale = None
         if name in ("added_mass", "body.matrix"):
             mask = _mask(vehicle, leaf, entries, True) & ~held
             make = functools.partial(_symmetric if linear else _inertia, vehicle)
             part = make(name, np.asarray(leaf), mask)
             flat = _places_of(part)
-            size = np.sqrt(np.outer(*[np.diag(vehicle.mass_matrix)] * 2)).ravel()[flat]
+            total = np.diag(vehicle.mass_matrix)
+            size = np.sqrt(np.outer(total, total)).ravel()[flat]
+            if stated is not None:
+                own = np.diag(np.asarray(leaf))
+                own = np.where(own > 0, own, total)
+                scale = np.sqrt(np.outer(own, own)).ravel()[flat]
         elif name in ("damping.linear", "damping.quadratic"):
             mask = _mask(vehicle, leaf, entries, dissipative) & ~held
             make = _dissipative if dissipative else _braking if relative and not linear else _plain
@@ -308,16 +328,16 @@ def set_free(
             flat = _places_of(part)
             value = np.abs(np.asarray(leaf).ravel()[flat])
             size = np.where(value > 0, value, 1.0)
-        width = float(prior) * size if isinstance(prior, float | int) else std.ravel()[flat]
+        width = std.ravel()[flat] if wide is None else wide * (size if scale is None else scale)
         sure = np.full(len(size), not name.startswith("placed"))
-        if relative and isinstance(part, Magnitudes):
+        if wide is not None and isinstance(part, Magnitudes):
             # What fades begins where its slope is a half.
             width = np.where(np.asarray(part.soft) > 0.0, 0.5 * width, width)
-        if relative and name.startswith("placed") and _of_target(vehicle, path)[0] is not None:
+        if wide is not None and name.startswith("placed") and _of_target(vehicle, path)[0] is not None:
             nothing, typical = np.asarray(part.start) == 0.0, _typical(vehicle, path)
             if typical is not None:
                 size = np.where(nothing, typical, size)
-                width, sure = float(prior) * size, np.full(len(size), True)
+                width, sure = wide * size, np.full(len(size), True)
             else:
                 # An effect that changes nothing yet may be of any size; weights of a network may not.
                 width = np.where(nothing, np.inf, width)
@@ -334,6 +354,16 @@ def set_free(
         raise ValueError("Argument `free` leaves nothing free on the axes that can move.")
     scales = Scales(*map(np.concatenate, (sizes, widths, known)))
     return Freed(vehicle, tuple(parts), tuple(places)), scales
+
+
+def _section(vehicle: Vehicle, path, name: str) -> str:
+    """The key of a file's table `[prior]` that speaks of a leaf; empty where none does."""
+    if name.startswith("actuators["):
+        return vehicle.actuators[path[1].idx].key
+    if name.startswith("placed["):
+        lifts = isinstance(vehicle.placed[path[1].idx].effect, HullLift | TurningLift)
+        return "lift" if lifts else ""
+    return _SECTIONS.get(name, "")
 
 
 def _is_positive(name: str) -> bool:
