@@ -127,8 +127,8 @@ def guess(hull: Hull) -> Guess:
             f"{hull.speed:g} m/s. Measure thrust at the bollard and the speed over the turns.",
         ),
         "surface": (
-            f"Placeholders: four fins of {_FIN:g} times the diameter's square, which keep such a hull on course. "
-            "Lift after Fujii and Tuda (1961), by the aspect ratio. Measure area and place.",
+            f"Placeholders: four fins of {_FIN:g} times the diameter's square, which keep such a hull on "
+            "course. Lift after Fujii and Tuda (1961), by the aspect ratio. Measure area and place.",
         ),
         "effect": (
             "Lift of the hull itself, 0.003 a degree of length times diameter, at 0.65 of the length from "
