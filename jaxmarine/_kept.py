@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
@@ -88,8 +89,9 @@ def _machine() -> str:
     flags = Path("/proc/cpuinfo")
     features = [line for line in flags.read_text().splitlines() if "flags" in line] if flags.exists() else []
     versions = [f"{name} {version(name)}" for name in _KNOWN[3:]]
-    options = os.environ.get("XLA_FLAGS", "")
-    return repr((program(), versions, options, platform.machine(), platform.processor(), features[:1]))
+    options, backend = os.environ.get("XLA_FLAGS", ""), jax.default_backend()
+    processor = platform.machine(), platform.processor(), features[:1]
+    return repr((program(), versions, options, backend, processor))
 
 
 def _of_own(path: Path) -> bytes:
@@ -141,17 +143,18 @@ class Kept:
         """What a function gives for (args, kwargs); compiled at the first time, with some options."""
         leaves, tree = jax.tree.flatten(given)
         arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        asked = (function, tree, tuple(_described(leaf) for leaf in leaves))
+        # What a number becomes without a type, beside what is asked for.
+        asked = (function, np.dtype(jnp.result_type(float)).str, tree, tuple(map(_described, leaves)))
         ready = self._loaded.get(asked)
         if ready is None:
-            ready = self._loaded[asked] = self._of(function, options, jax.tree.map(_described, given))
+            ready = self._loaded[asked] = self._of(*asked[:2], options, jax.tree.map(_described, given))
         return ready(arrays)
 
-    def _of(self, function: Callable[..., Any], options: Any, described: Any) -> _Program:
+    def _of(self, function: Callable[..., Any], default: str, options: Any, described: Any) -> _Program:
         try:
             _need_known(function)
             words = _pickled(
-                (f"{function.__module__}.{function.__qualname__}", _machine(), options, described)
+                (f"{function.__module__}.{function.__qualname__}", default, _machine(), options, described)
             )
         except (_Unknown, pickle.PicklingError, AttributeError, TypeError, RecursionError):
             return _Program(*_made(function, options, described))

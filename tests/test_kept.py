@@ -88,11 +88,13 @@ def test_other_shapes_types_options_and_sources_are_other_programs(kept, monkeyp
     one = jnp.array([1.0, 0.0, 0.0, 0.0])
     assert [asked(one), asked(one), asked(jnp.stack([one, one]).T)] == [1, 1, 2]
     assert asked(one.astype(jnp.float32)) == 3
+    with jax.enable_x64(False):
+        assert asked(one.astype(jnp.float32)) == 4
     kept.forget()
-    assert asked(one, {"xla_cpu_use_fusion_emitters": False}) == 4
+    assert asked(one, {"xla_cpu_use_fusion_emitters": False}) == 5
     monkeypatch.setattr(_kept, "_machine", lambda: "other sources")
     kept.forget()
-    assert asked(one) == 5
+    assert asked(one) == 6
 
 
 def test_a_function_of_somebody_else_runs_and_is_not_kept(kept):
