@@ -70,8 +70,8 @@ def test_lambs_table(slenderness, factors):
 
 
 def test_lambs_factors_are_those_of_his_integrals():
-    # alpha_0 = a b² int ds / ((a² + s)^(3/2) (b² + s)), beta_0 = a b² int ds / ((a² + s)^(1/2) (b² + s)²), from
-    # zero to infinity.
+    # alpha_0 = a b² int ds / ((a² + s)^(3/2) (b² + s)), beta_0 = a b² int ds / ((a² + s)^(1/2) (b² + s)²),
+    # from zero to infinity.
     a, b = 3.5, 1.0
     alpha = a * b**2 * quad(lambda s: (a**2 + s) ** -1.5 / (b**2 + s), 0.0, np.inf)[0]
     beta = a * b**2 * quad(lambda s: (a**2 + s) ** -0.5 / (b**2 + s) ** 2, 0.0, np.inf)[0]
