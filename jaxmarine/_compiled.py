@@ -44,6 +44,12 @@ def keep_in(folder: Path) -> None:
     _kept[:] = [Kept(folder)]
 
 
+def _watched() -> bool:
+    """Whether JAX runs operations one by one, or looks for numbers that are none: kept programs cannot."""
+    config: Any = jax.config
+    return config.jax_disable_jit or config.jax_debug_nans or config.jax_debug_infs
+
+
 def let_go() -> None:
     """Lets all compiled programs go that this process has loaded."""
     jax.clear_caches()
@@ -62,7 +68,7 @@ def compiled(function: Function) -> Function:
         inside = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs)))
         if inside:
             return plain(*args, **kwargs)
-        if _kept:
+        if _kept and not _watched():
             return _kept[0](function, _options(), (args, kwargs))
         return tuned()(*args, **kwargs)
 

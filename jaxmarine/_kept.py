@@ -14,6 +14,8 @@ import os
 import pickle
 import platform
 import stat
+import threading
+import types
 import uuid
 from collections.abc import Callable
 from importlib.metadata import version
@@ -64,6 +66,14 @@ def _need_known(thing: Any) -> None:
         raise _Unknown(home)
 
 
+def _need_named(function: Any) -> None:
+    """Raises `_Unknown` of what its module and name do not tell: JAX's transformations keep a function's."""
+    _need_known(function)
+    whole = isinstance(function, types.FunctionType) and not hasattr(function, "__wrapped__")
+    if not whole or "<" in function.__qualname__:
+        raise _Unknown(repr(function))
+
+
 class _Words(pickle.Pickler):
     """Pickles what names fix; the same things give the same bytes, whichever are one object."""
 
@@ -87,11 +97,15 @@ def _pickled(value: Any) -> bytes:
 def _machine() -> str:
     """What programs are for, besides their sources: libraries, options of the compiler, processor."""
     flags = Path("/proc/cpuinfo")
-    features = [line for line in flags.read_text().splitlines() if "flags" in line] if flags.exists() else []
+    features = (
+        [line for line in flags.read_text().splitlines() if line.lower().startswith(("flags", "features"))]
+        if flags.exists()
+        else []
+    )
     versions = [f"{name} {version(name)}" for name in _KNOWN[3:]]
-    options, backend = os.environ.get("XLA_FLAGS", ""), jax.default_backend()
+    options, device = os.environ.get("XLA_FLAGS", ""), jax.devices()[0]
     processor = platform.machine(), platform.processor(), features[:1]
-    return repr((program(), versions, options, backend, processor))
+    return repr((versions, options, device.platform, device.device_kind, processor))
 
 
 def _of_own(path: Path) -> bytes:
@@ -125,7 +139,7 @@ def _stands(leaf: Any) -> bool:
 def _described(leaf: Any) -> Any:
     if not eqx.is_array(leaf):
         return leaf
-    return _Array(leaf.shape, np.dtype(leaf.dtype).str, bool(getattr(leaf, "weak_type", False)))
+    return _Array(leaf.shape, str(leaf.dtype), bool(getattr(leaf, "weak_type", False)))
 
 
 class Kept:
@@ -133,11 +147,15 @@ class Kept:
 
     def __init__(self, folder: Path):
         self.folder = folder
+        # Of the sources that run now: they may be edited later.
+        self._program = program()
         self._loaded: dict[Any, _Program] = {}
+        self._locks: dict[Any, threading.RLock] = {}
 
     def forget(self) -> None:
         """Lets loaded programs go."""
         self._loaded.clear()
+        self._locks.clear()
 
     def __call__(self, function: Callable[..., Any], options: Any, given: tuple[Any, Any]) -> Any:
         """What a function gives for (args, kwargs); compiled at the first time, with some options."""
@@ -147,33 +165,50 @@ class Kept:
         asked = (function, np.dtype(jnp.result_type(float)).str, tree, tuple(map(_described, leaves)))
         ready = self._loaded.get(asked)
         if ready is None:
-            ready = self._loaded[asked] = self._of(*asked[:2], options, jax.tree.map(_described, given))
+            # Threads that ask for the same one wait for the first.
+            with self._locks.setdefault(asked, threading.RLock()):
+                ready = self._loaded.get(asked)
+                if ready is None:
+                    ready = self._of(*asked[:2], options, jax.tree.map(_described, given))
+                    self._loaded[asked] = ready
         return ready(arrays)
 
     def _of(self, function: Callable[..., Any], default: str, options: Any, described: Any) -> _Program:
+        name = getattr(function, "__name__", "program")
         try:
-            _need_known(function)
+            _need_named(function)
             words = _pickled(
-                (f"{function.__module__}.{function.__qualname__}", default, _machine(), options, described)
+                (
+                    f"{function.__module__}.{function.__qualname__}",
+                    default,
+                    self._program,
+                    _machine(),
+                    options,
+                    described,
+                )
             )
-        except (_Unknown, pickle.PicklingError, AttributeError, TypeError, RecursionError):
-            return _Program(*_made(function, options, described))
+        except Exception:
+            # Whatever cannot be told by words.
+            return _Program(*_made(function, options, described, name))
         path = self.folder / f"{hashlib.sha256(words).hexdigest()}.program"
         # Whatever is wrong with what was kept, it can be made anew; and where nothing can be kept, used.
         with contextlib.suppress(Exception):
             run, gives = pickle.loads(_of_own(path))
             return _Program(_loaded(*run), gives)
-        run, gives = _made(function, options, described)
+        # By a name that none had before: what JAX's own cache has loaded cannot be kept again, as its kernels
+        # are left out (jaxlib 0.10).
+        run, gives = _made(function, options, described, f"{name}_{uuid.uuid4().hex}")
         with contextlib.suppress(Exception):
             payload, takes, returns = serialize(run)
             whole = _pickled(((payload, takes.num_leaves, returns.num_leaves), gives))
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with written_whole(path) as part:
                 part.write_bytes(whole)
+                part.chmod(0o600)
         return _Program(run, gives)
 
 
-def _made(function: Callable[..., Any], options: Any, described: Any) -> tuple[Any, Any]:
+def _made(function: Callable[..., Any], options: Any, described: Any, name: str) -> tuple[Any, Any]:
     """A compiled program from arrays to arrays, and what it gives, with an `_Array` for each array."""
     leaves, tree = jax.tree.flatten(described, is_leaf=_stands)
     given = []
@@ -185,13 +220,11 @@ def _made(function: Callable[..., Any], options: Any, described: Any) -> tuple[A
         given.append(jax.tree.map(_described, found))
         return [leaf for leaf in jax.tree.leaves(found) if eqx.is_array(leaf)]
 
-    # By a name that none had before: what JAX's own cache has loaded cannot be kept again (its kernels are
-    # left out, jaxlib 0.10), and a program that runs by itself is of no use to that cache.
-    of_arrays.__name__ = f"{function.__name__}_{uuid.uuid4().hex}"
+    of_arrays.__name__ = name
     asked = [jax.ShapeDtypeStruct(one.shape, one.dtype, weak_type=one.weak) for one in leaves if _stands(one)]
     return jax.jit(of_arrays, compiler_options=options).lower(*asked).compile(), given[0]
 
 
 def _loaded(payload: bytes, takes: int, returns: int) -> Any:
     trees = jax.tree.structure(((0,) * takes, {})), jax.tree.structure([0] * returns)
-    return deserialize_and_load(payload, *trees)
+    return deserialize_and_load(payload, *trees, execution_devices=jax.devices()[:1])

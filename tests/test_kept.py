@@ -5,6 +5,7 @@ import pickle
 import stat
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
@@ -14,7 +15,6 @@ import pytest
 from jaxmarine import _compiled, _kept
 from jaxmarine._angles import wrap_to_pi
 from jaxmarine.fitting import _parts
-from jaxmarine.physics import rotation
 
 # Says a rotation, computed by a kept program, and how many programs of it were compiled or loaded by JAX.
 START = """
@@ -115,29 +115,68 @@ def test_a_function_of_somebody_else_runs_and_is_not_kept(kept):
 def test_what_others_can_write_is_not_run(tmp_path, whose):
     folder = tmp_path / "programs"
     one = jnp.array([1.0, 0.0, 0.0, 0.0])
-    _kept.Kept(folder)(rotation, None, ((one,), {}))
+    _kept.Kept(folder)(wrap_to_pi, None, ((one,), {}))
     (file,) = folder.iterdir()
     file.write_bytes(pickle.dumps(Bomb()))
     (file if whose == "file" else folder).chmod(0o777)
-    turned = _kept.Kept(folder)(rotation, None, ((one,), {}))
-    assert turned.tolist() == jnp.eye(3).tolist() and not hasattr(sys, "unpickled")
+    turned = _kept.Kept(folder)(wrap_to_pi, None, ((one,), {}))
+    assert turned.tolist() == [1.0, 0.0, 0.0, 0.0] and not hasattr(sys, "unpickled")
 
 
 def test_a_new_folder_is_the_users_alone(kept):
-    kept(rotation, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {}))
+    kept(wrap_to_pi, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {}))
     assert stat.S_IMODE(kept.folder.stat().st_mode) == 0o700
+
+
+def test_what_only_borrows_a_name_is_not_kept(kept):
+    # A derivative has the module and the name of its function.
+    given = jnp.array([0.3, 4.0])
+    kept(wrap_to_pi, None, ((given,), {}))
+    turned = kept(jax.jacfwd(wrap_to_pi), None, ((given,), {}))
+    assert turned.tolist() == jnp.eye(2).tolist() and len(list(kept.folder.iterdir())) == 1
+
+
+def test_kept_programs_are_loaded_whatever_the_mask_of_new_files(tmp_path, monkeypatch):
+    before = os.umask(0o002)
+    try:
+        one, folder = jnp.array([1.0, 0.0, 0.0, 0.0]), tmp_path / "programs"
+        _kept.Kept(folder)(wrap_to_pi, None, ((one,), {}))
+        monkeypatch.setattr(_kept, "_made", None)
+        assert _kept.Kept(folder)(wrap_to_pi, None, ((one,), {})).tolist() == [1.0, 0.0, 0.0, 0.0]
+    finally:
+        os.umask(before)
+
+
+def test_threads_wait_for_one_program(kept, monkeypatch):
+    made, true = [], _kept._made
+    monkeypatch.setattr(_kept, "_made", lambda *given: made.append(given) or true(*given))
+    one = jnp.array([1.0, 0.0, 0.0, 0.0])
+    with ThreadPoolExecutor(4) as pool:
+        out = list(pool.map(lambda _: kept(wrap_to_pi, None, ((one,), {})).tolist(), range(4)))
+    assert len(made) == 1 and out == [[1.0, 0.0, 0.0, 0.0]] * 4
+
+
+def test_operations_can_be_watched_one_by_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(_compiled, "_kept", [])
+    _compiled.keep_in(tmp_path)
+    turned = _compiled.compiled(wrap_to_pi)
+    with jax.disable_jit():
+        assert turned(jnp.array([1.0, 0.0, 0.0, 0.0])).tolist() == [1.0, 0.0, 0.0, 0.0]
+    # As a part of another program it is that one's.
+    jax.jit(turned)(jnp.array([1.0, 0.0, 0.0, 0.0]))
+    assert not _compiled._kept[0]._loaded
 
 
 def test_without_a_folder_to_write_into_programs_run(tmp_path):
     (tmp_path / "file").write_text("in the way")
     kept = _kept.Kept(tmp_path / "file" / "programs")
-    assert kept(rotation, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {})).tolist() == jnp.eye(3).tolist()
+    assert kept(wrap_to_pi, None, ((jnp.array([1.0, 0.0, 0.0, 0.0]),), {})).tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 def test_programs_are_let_go(tmp_path, monkeypatch):
     monkeypatch.setattr(_compiled, "_kept", [])
     _compiled.keep_in(tmp_path)
-    _compiled.compiled(rotation)(jnp.array([1.0, 0.0, 0.0, 0.0]))
+    _compiled.compiled(wrap_to_pi)(jnp.array([1.0, 0.0, 0.0, 0.0]))
     assert _compiled._kept[0]._loaded
     _compiled.let_go()
     assert not _compiled._kept[0]._loaded
