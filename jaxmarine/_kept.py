@@ -32,19 +32,8 @@ from ._files import written_whole
 from ._program import program
 
 # Whose classes and functions are the same wherever their versions are.
-_KNOWN = (
-    "builtins",
-    "collections",
-    "functools",
-    "jax",
-    "jaxlib",
-    "numpy",
-    "equinox",
-    "diffrax",
-    "optimistix",
-    "lineax",
-)
-_OURS = __name__.partition(".")[0]
+_LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax")
+_KNOWN = ("builtins", "collections", "functools", *_LIBRARIES, __name__.partition(".")[0])
 
 
 class _Array(NamedTuple):
@@ -62,7 +51,7 @@ class _Unknown(Exception):
 def _need_known(thing: Any) -> None:
     """Raises `_Unknown` of a class or function whose sources are not told by what a program is asked for."""
     home = getattr(thing, "__module__", None) or type(thing).__module__
-    if home.partition(".")[0] not in (*_KNOWN, _OURS):
+    if home.partition(".")[0] not in _KNOWN:
         raise _Unknown(home)
 
 
@@ -102,7 +91,7 @@ def _machine() -> str:
         if flags.exists()
         else []
     )
-    versions = [f"{name} {version(name)}" for name in _KNOWN[3:]]
+    versions = [f"{name} {version(name)}" for name in _LIBRARIES]
     options, device = os.environ.get("XLA_FLAGS", ""), jax.devices()[0]
     processor = platform.machine(), platform.processor(), features[:1]
     return repr((versions, options, device.platform, device.device_kind, processor))

@@ -18,6 +18,7 @@ from ..effects import (
     QuadraticDamping,
     Suspect,
 )
+from ..fitting import PRIOR_KEYS
 from ..vehicle import Vehicle
 from ._saturated import Layout
 
@@ -30,14 +31,6 @@ FILED: dict[type[AbstractEffect], str] = {
     LinearDamping: "damping.linear",
     QuadraticDamping: "damping.quadratic",
     CoupledDamping: "damping.linear",
-}
-# The keys of the file's table `[prior]` that speak of them.
-STATED: dict[type[AbstractEffect], str] = {
-    AddedMass: "added_mass",
-    CoupledAddedMass: "added_mass",
-    LinearDamping: "linear",
-    QuadraticDamping: "quadratic",
-    CoupledDamping: "linear",
 }
 
 
@@ -85,7 +78,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
         if row != column and not value:
             continue
         scale = mass[row, column] if suspect.effect is AddedMass else value
-        share = spreads.get(STATED[suspect.effect], 0.0)
+        share = spreads.get(PRIOR_KEYS[FILED[suspect.effect]], 0.0)
         out.append(
             Coefficient(
                 i,

@@ -377,13 +377,12 @@ class Workbench:
             out[j] = (1e12 if held else model.weight) / c.prior**2
         return out
 
+    def _held_by(self, model: Model) -> Array:
+        """The prior's precision, of a z that fills up too."""
+        return jnp.asarray(self._padded(self._precision(model), 1.0))
+
     def task(self, model: Model) -> Task:
-        precision = self._padded(self._precision(model), 1.0)
-        return Task(
-            self.problem(model.members),
-            self.affine(model.members),
-            jnp.asarray(precision),
-        )
+        return Task(self.problem(model.members), self.affine(model.members), self._held_by(model))
 
     # --- what the search asks ------------------------------------------------------------------
 
@@ -416,9 +415,8 @@ class Workbench:
         return dataclasses.replace(model, z=z, cost=cost, promised=promised, damping=damping, **moved)
 
     def _likelihood(self, model: Model, force: Disturbance) -> Likelihood:
-        task = self.task(model)
         problem = self.problem(model.members, self.fine.problem)
-        return Likelihood(problem, task.affine, task.precision, force)
+        return Likelihood(problem, self.affine(model.members), self._held_by(model), force)
 
     def _along(self, model: Model) -> tuple[Problem, Affine]:
         """The windows cut up for the filter, and the map of changes of z."""

@@ -39,6 +39,7 @@ from ._filter import with_swell as with_swell
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
+from ._free import PRIOR_KEYS as PRIOR_KEYS
 from ._free import Select as Select
 from ._gross import GrossError as GrossError
 from ._gross import gross_errors as gross_errors

@@ -36,7 +36,7 @@ _SOFT, _NOTHING = 0.02, 0.01
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
 _OF_ACTUATORS = ("kt", "kt_reverse", "lift_slope", "coefficient")
 # Which key of a file's table `[prior]` speaks of a leaf; of actuators and lift see `_section`.
-_SECTIONS = {
+PRIOR_KEYS = {
     "added_mass": "added_mass",
     "damping.linear": "linear",
     "damping.quadratic": "quadratic",
@@ -363,7 +363,7 @@ def _section(vehicle: Vehicle, path, name: str) -> str:
     if name.startswith("placed["):
         lifts = isinstance(vehicle.placed[path[1].idx].effect, HullLift | TurningLift)
         return "lift" if lifts else ""
-    return _SECTIONS.get(name, "")
+    return PRIOR_KEYS.get(name, "")
 
 
 def _is_positive(name: str) -> bool:

@@ -4,6 +4,7 @@ Each kind of craft is one module with its `guess`; what they are made of stands 
 numbers are prior knowledge, and say how far they may be off in the file's table `[prior]`.
 """
 
+import dataclasses
 import os
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,15 +18,15 @@ from ._parts import Guess
 
 
 class Kind(NamedTuple):
-    """How a craft of a kind is guessed: its top speed by length and fullness, all the rest by its hull."""
+    """How a craft of a kind is guessed: its usual top speed, and with that all the rest."""
 
-    speed: Callable[[float, float], float]
+    speed: Callable[[Hull], float]
     guess: Callable[[Hull], Guess]
 
 
 KINDS = {
-    "rov": Kind(_rov.speed, _rov.guess),
-    "auv": Kind(_auv.speed, _auv.guess),
+    "rov": Kind(lambda _: _rov.SPEED, _rov.guess),
+    "auv": Kind(lambda _: _auv.SPEED, _auv.guess),
     "ship": Kind(_ship.speed, _ship.guess),
     "boat": Kind(_boat.speed, _boat.guess),
 }
@@ -56,15 +57,15 @@ def guess_vehicle(
     if like not in KINDS:
         raise InputError(f"--like {like}: is no kind of craft; {did_you_mean(like, KINDS)}")
     kind = KINDS[like]
-    check(Hull(mass, length, beam, draft, 1.0 if speed is None else speed))
+    hull = Hull(mass, length, beam, draft, 1.0 if speed is None else speed)
+    check(hull)
     if speed is None:
-        speed = kind.speed(length, Hull(mass, length, beam, draft, 1.0).fullness)
-    hull = Hull(mass, length, beam, draft, speed)
+        hull = dataclasses.replace(hull, speed=kind.speed(hull))
     told = kind.guess(hull)
     data = {"schema": 1, "name": like if name is None else name} | told.tables
     head = (
         f"Guessed by `jaxmarine init --like {like} --mass {mass:g} --length {length:g} --beam {beam:g} "
-        f"--draft {draft:g} --speed {speed:.4g}`; nothing of it was measured.",
+        f"--draft {draft:g} --speed {hull.speed:.4g}`; nothing of it was measured.",
         "Measure what is easy (centres, places, thrust at the bollard), fit the rest, and correct what "
         "stands here.",
     )

@@ -3,7 +3,7 @@
 import math
 
 from ._hull import Hull
-from ._parts import Guess, body, damping, resistance, rounded, shaft_speed, triple
+from ._parts import Guess, body, damping, propeller, rounded, triple
 from ._resistance import torpedo_drag
 from ._spheroid import lamb
 from ._strips import cross_flow
@@ -19,12 +19,6 @@ _ROLL = 0.3
 _FIN, _ASPECT = 0.25, 2.0
 _KT, _WAKE, _DEDUCTION = (0.35, -0.35, -0.05), 0.1, 0.1
 _PRIOR = {"added_mass": 0.4, "linear": 1.0, "quadratic": 0.6, "propeller": 0.3, "surface": 0.3, "lift": 0.5}
-
-
-def speed(length: float, fullness: float) -> float:
-    """Top speed [m/s]."""
-    del length, fullness
-    return SPEED
 
 
 def guess(hull: Hull) -> Guess:
@@ -51,8 +45,6 @@ def guess(hull: Hull) -> Guess:
     # After Hoerner: 0.003 a degree of d² times l / d, at 0.65 of the length from the nose.
     lift = rounded(0.5 * hull.density * diameter * length * math.degrees(0.003))
     arm = 0.15 * length
-    screw = 0.7 * diameter
-    turns = shaft_speed(resistance(drag, hull.speed), hull, screw, _KT, _WAKE, _DEDUCTION)
     aft = -0.45 * length
     fins = {
         "rudder_top": ((aft, 0.0, -reach), (0.0, 0.0, -1.0)),
@@ -72,18 +64,7 @@ def guess(hull: Hull) -> Guess:
         "body": body(hull, radii, below),
         "added_mass": {"matrix": [rounded(one) for one in added]},
         "damping": drag,
-        "propeller": [
-            {
-                "name": "propeller",
-                "position": triple(-0.5 * length, 0.0, 0.0),
-                "direction": [1.0, 0.0, 0.0],
-                "diameter": rounded(screw),
-                "kt": list(_KT),
-                "wake_fraction": _WAKE,
-                "thrust_deduction": _DEDUCTION,
-                "max_speed": rounded(turns),
-            }
-        ],
+        "propeller": propeller(hull, drag, 0.5 * length, 0.7 * diameter, _KT, _WAKE, _DEDUCTION),
         "surface": [
             {
                 "name": name,
@@ -107,7 +88,12 @@ def guess(hull: Hull) -> Guess:
             }
         ],
     }
-    notes = {
+    return Guess(tables, _notes(hull))
+
+
+def _notes(hull: Hull) -> dict[str, tuple[str, ...]]:
+    """What stands above the tables."""
+    return {
         "body": (
             "Inertia: radii of gyration of a quarter of the length, and in roll of a full cylinder. The "
             "centre of gravity lies a tenth of the diameter below that of buoyancy, and the origin there.",
@@ -136,4 +122,3 @@ def guess(hull: Hull) -> Guess:
             "the added mass.",
         ),
     }
-    return Guess(tables, notes)

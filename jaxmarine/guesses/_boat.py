@@ -3,7 +3,7 @@
 import math
 
 from ._clarke import slender_wing
-from ._floating import DOF, added_ahead, floating_body, lifts, matrix
+from ._floating import ABOUT_MIDSHIP, DOF, added_ahead, floating_body, lifts, matrix
 from ._hull import Hull
 from ._parts import Guess, damping, resistance, rounded, triple
 from ._resistance import ship_drag
@@ -18,10 +18,9 @@ _ASTERN = 0.7
 _PRIOR = {"added_mass": 0.5, "linear": 1.0, "quadratic": 0.8, "thrust": 0.4, "lift": 0.7}
 
 
-def speed(length: float, fullness: float) -> float:
+def speed(hull: Hull) -> float:
     """Top speed [m/s] of a boat that does not plane."""
-    del fullness
-    return _FROUDE * math.sqrt(9.81 * length)
+    return _FROUDE * math.sqrt(hull.gravity * hull.length)
 
 
 def guess(hull: Hull) -> Guess:
@@ -54,10 +53,7 @@ def guess(hull: Hull) -> Guess:
         "effect": lifts(slender_wing(hull), ahead, aside),
     }
     notes = {
-        "body": (
-            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, "
-            "0.4 of the beam.",
-        ),
+        "body": ABOUT_MIDSHIP,
         "added_mass": (
             "Ahead after Söding (1982). Aside and in yaw: strips of half ellipses (after Newman 1977), "
             "less what flows round the ends by Lamb's factors. Of two hulls take their draft, and expect "

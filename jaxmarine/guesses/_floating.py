@@ -7,6 +7,11 @@ from ._hull import Hull
 from ._parts import body, rounded
 
 DOF = ["surge", "sway", "yaw"]
+# What stands above `floating_body`.
+ABOUT_MIDSHIP = (
+    "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, 0.4 of the "
+    "beam.",
+)
 
 
 def floating_body(hull: Hull) -> dict[str, Any]:

@@ -65,6 +65,31 @@ def shaft_speed(
     return (-b + math.sqrt(b**2 - 4.0 * k0 * c)) / (2.0 * k0)
 
 
+def propeller(
+    hull: Hull,
+    drag: dict[str, Any],
+    aft: float,
+    diameter: float,
+    kt: Sequence[float],
+    wake: float,
+    deduction: float,
+) -> list[dict[str, Any]]:
+    """One that makes the hull's speed at the most, so far [m] behind the origin; `drag`: as of `damping`."""
+    turns = shaft_speed(resistance(drag, hull.speed), hull, diameter, kt, wake, deduction)
+    return [
+        {
+            "name": "propeller",
+            "position": triple(-aft, 0.0, 0.0),
+            "direction": [1.0, 0.0, 0.0],
+            "diameter": rounded(diameter),
+            "kt": list(kt),
+            "wake_fraction": rounded(wake),
+            "thrust_deduction": rounded(deduction),
+            "max_speed": rounded(turns),
+        }
+    ]
+
+
 def rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 

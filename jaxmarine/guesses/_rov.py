@@ -5,6 +5,7 @@ import math
 from ._box import added_mass_of_box
 from ._hull import Hull
 from ._parts import Guess, body, damping, resistance, rounded, triple
+from ._strips import cross_flow
 
 SPEED = 1.5  # m/s, three knots: of small and of large ones
 # A cube that stands across its face to the flow.
@@ -14,12 +15,6 @@ _GATHERED = 0.6
 # From the centre of gravity up to that of buoyancy, as a share of the height.
 _RIGHTING = 0.1
 _PRIOR = {"added_mass": 0.5, "linear": 1.0, "quadratic": 0.7, "thrust": 0.4, "lift": 0.5}
-
-
-def speed(length: float, fullness: float) -> float:
-    """Top speed [m/s]."""
-    del length, fullness
-    return SPEED
 
 
 def guess(hull: Hull) -> Guess:
@@ -41,15 +36,12 @@ def guess(hull: Hull) -> Guess:
         (down * a**2 + ahead * c**2) / 12.0,
         (aside * a**2 + ahead * b**2) / 12.0,
     ]
-    half = 0.5 * hull.density * _DRAG
-    quadratic = [
-        half * beam * height,
-        half * length * height,
-        half * length * beam,
-        half * length * (beam**4 + height**4) / 32.0,
-        half * beam * (length**4 + height**4) / 32.0,
-        half * height * (length**4 + beam**4) / 32.0,
-    ]
+    # Along and about each axis: of the face across it, and of the four faces that turn, as strips.
+    pushed, turned = [], []
+    for along, one, other in ((length, beam, height), (beam, length, height), (height, length, beam)):
+        pushed.append(cross_flow(_DRAG, one, other, hull.density)[0])
+        turned.append(sum(cross_flow(_DRAG, along, side, hull.density)[1] for side in (one, other)))
+    quadratic = [*pushed, *turned]
     arms = (max(beam, height) / 2.0, max(length, height) / 2.0, max(length, beam) / 2.0)
     drag = damping(hull, quadratic, 0.15, arms)
     sides = ((beam, height), (length, height), (length, beam))
@@ -78,7 +70,12 @@ def guess(hull: Hull) -> Guess:
             {"effect": "hull_lift", "N_uv": rounded(ahead - aside), "M_uw": rounded(down - ahead)},
         ],
     }
-    notes = {
+    return Guess(tables, _notes(hull))
+
+
+def _notes(hull: Hull) -> dict[str, tuple[str, ...]]:
+    """What stands above the tables."""
+    return {
         "body": (
             f"Inertia: {_GATHERED:g} of that of a full box. The centre of gravity lies {_RIGHTING:g} of the "
             "height below that of buoyancy, and the origin there. Weigh it, and measure its trim.",
@@ -101,4 +98,3 @@ def guess(hull: Hull) -> Guess:
             "the most ahead. Measure their places, and the thrust at the bollard.",
         ),
     }
-    return Guess(tables, notes)

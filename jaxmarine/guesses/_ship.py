@@ -3,9 +3,9 @@
 import math
 
 from ._clarke import clarke
-from ._floating import DOF, added_ahead, floating_body, lifts, matrix
+from ._floating import ABOUT_MIDSHIP, DOF, added_ahead, floating_body, lifts, matrix
 from ._hull import Hull
-from ._parts import Guess, damping, resistance, rounded, shaft_speed, triple
+from ._parts import Guess, damping, propeller, rounded, triple
 from ._resistance import ship_drag
 from ._strips import cross_flow, hull_drag
 
@@ -16,13 +16,13 @@ _ASPECT = 1.6
 _PRIOR = {"added_mass": 0.3, "linear": 1.0, "quadratic": 0.4, "propeller": 0.3, "surface": 0.3, "lift": 0.3}
 
 
-def speed(length: float, fullness: float) -> float:
+def speed(hull: Hull) -> float:
     """Speed [m/s] for which so full a ship is built: its Froude number is (1.08 - C_B) / 1.68.
 
     Source: after Alexander's formula.
     """
-    froude = min(max((1.08 - fullness) / 1.68, 0.12), 0.3)
-    return froude * math.sqrt(9.81 * length)
+    froude = min(max((1.08 - hull.fullness) / 1.68, 0.12), 0.3)
+    return froude * math.sqrt(hull.gravity * hull.length)
 
 
 def rudder_area(hull: Hull) -> float:
@@ -38,8 +38,7 @@ def guess(hull: Hull) -> Guess:
     quadratic = [ship_drag(hull, _RESIDUARY), aside, 0.0, 0.0, 0.0, turned]
     drag = damping(hull, quadratic, 0.02, (1.0, 1.0, length / 2.0))
     wake = min(max(0.5 * hull.fullness - 0.05, 0.1), 0.4)
-    deduction, screw = 0.6 * wake, 0.6 * draft
-    turns = shaft_speed(resistance(drag, hull.speed), hull, screw, _KT, wake, deduction)
+    screw = 0.6 * draft
     area = rudder_area(hull)
     share = min(1.0, screw / math.sqrt(_ASPECT * area))
     tables = {
@@ -47,18 +46,7 @@ def guess(hull: Hull) -> Guess:
         "body": floating_body(hull),
         "added_mass": matrix(ahead, force.sway, force.yaw),
         "damping": drag,
-        "propeller": [
-            {
-                "name": "propeller",
-                "position": triple(-0.48 * length, 0.0, 0.0),
-                "direction": [1.0, 0.0, 0.0],
-                "diameter": rounded(screw),
-                "kt": list(_KT),
-                "wake_fraction": rounded(wake),
-                "thrust_deduction": rounded(deduction),
-                "max_speed": rounded(turns),
-            }
-        ],
+        "propeller": propeller(hull, drag, 0.48 * length, screw, _KT, wake, 0.6 * wake),
         "surface": [
             {
                 "name": "rudder",
@@ -83,11 +71,13 @@ def guess(hull: Hull) -> Guess:
         "prior": _PRIOR,
         "effect": lifts(force, ahead, force.sway),
     }
-    notes = {
-        "body": (
-            "About midship, with the centre of gravity there. Radii of gyration: a quarter of the length, "
-            "0.4 of the beam.",
-        ),
+    return Guess(tables, _notes(hull))
+
+
+def _notes(hull: Hull) -> dict[str, tuple[str, ...]]:
+    """What stands above the tables."""
+    return {
+        "body": ABOUT_MIDSHIP,
         "added_mass": (
             "Ahead after Söding (1982). Aside and in yaw by the regression of Clarke, Gedling and Hine "
             "(1983), as PythonVehicleSimulator has it; what couples the two is left out.",
@@ -111,4 +101,3 @@ def guess(hull: Hull) -> Guess:
             "turn.",
         ),
     }
-    return Guess(tables, notes)
