@@ -54,7 +54,7 @@ PRINTED_LINEAR[2, 4], PRINTED_LINEAR[4, 2] = 30.0, 27.0
 PRINTED_QUADRATIC = np.diag([7.0, 100.0, 250.0, 50.0, 90.0, 90.0])
 
 # The synthetic craft, assumed: more drag ahead, less linear and more quadratic drag in sway, and body lift of
-# a torpedo hull by Prestero (2001), sec. 4: c = 1.2 on the frontal square of 0.17 m, at 0.32 m behind `o`.
+# a torpedo hull after Prestero (2001): c = 1.2 on the frontal square of 0.17 m, at 0.32 m behind `o`.
 TRUE_LINEAR = np.diag([2.0, 50.0, 50.0, 0.6, 16.0, 14.0])
 TRUE_LINEAR[1, 5], TRUE_LINEAR[5, 1] = -8.0, -12.0
 TRUE_LINEAR[2, 4], TRUE_LINEAR[4, 2] = 12.0, 10.0

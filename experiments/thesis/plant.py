@@ -26,6 +26,7 @@ Noise = Literal["text", "listing", "realistic"]
 
 DT = 0.1  # [s] between samples (sec. 5.3)
 FINE = 10  # integration steps per sample: the truth is finer than any model that is fitted to it
+# Four degrees of freedom and time delays and saturation of the thrusters (fig. 5.4); all numbers are assumed.
 STICKS = ("surge", "heave", "roll", "yaw")
 DELAY, LAG, LIMIT = 2 * DT, 0.15, 1.0  # [s], [s], [command]
 # Wrench of a full stick about its trim [N, N m]: gives motion as rich as the four thrusters allow.
@@ -44,7 +45,7 @@ REALISTIC = {"position": 0.02, "attitude": 0.005, "velocity": 0.01, "rate": 0.01
 
 
 def tethra() -> jm.Vehicle:
-    """The thesis' plant: (5.18), (5.24), the listing's restoring forces, delay, lag and saturation."""
+    """The thesis' plant: (5.18), (5.24), the listing's restoring forces; delay, lag and saturation, assumed."""
     file = jm.load_vehicle(jm.packaged_vehicle("tethra"))
     body = dataclasses.replace(
         file.body,
