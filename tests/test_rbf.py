@@ -103,7 +103,7 @@ def test_a_column_costs_one_product_with_a_vector():
     counted = []
     spent = cpu(lambda: counted.append(len(grow(gram, right, 500).order)))
     assert counted == 2 * [500]
-    # Measured: 1.6 times, for what each column would save is kept as well. A solve for each would be 450 times.
+    # Measured: 1.6 times, for what each column would save is kept too. A solve for each would be 450 times.
     assert spent < 8.0 * cpu(row_by_row)
 
 
@@ -168,7 +168,7 @@ def test_it_learns_a_force_where_data_are_and_leaves_the_vehicle_alone_elsewhere
     term, nu, force = learned()
     # At velocities that it was not grown on, among those that were.
     new = np.zeros((300, 6))
-    new[:, :2] = np.random.default_rng(40).uniform(-0.3, 0.3, (300, 2)) + [1.0, 0.0]
+    new[:, :2] = np.random.default_rng(40).uniform([0.7, -0.3], [1.3, 0.3], (300, 2))
     inside = np.asarray(jax.vmap(lambda v: term(motion(v)))(jnp.asarray(new)))
     true = np.stack([-3 * new[:, 0] ** 3, -4 * new[:, 0] * new[:, 1]], axis=1)
     spline = scipy.interpolate.RBFInterpolator(nu[:, :2], force, smoothing=0.1)(new[:, :2])
@@ -176,8 +176,8 @@ def test_it_learns_a_force_where_data_are_and_leaves_the_vehicle_alone_elsewhere
     def off(found):
         return np.sqrt(((found - true) ** 2).mean(axis=0))
 
-    # A thin-plate spline whose smoothing was chosen by the truth (0.02 N): it fades nowhere, ours does between
-    # velocities seen. Measured 1.9 and 0.6 times its error; without any network 160 and 64 times.
+    # A thin-plate spline whose smoothing was chosen by the truth (0.02 N): it fades nowhere, ours does
+    # between velocities seen. Measured 1.9 and 0.6 times its error; without any network 160 and 64 times.
     assert (off(inside[:, :2]) < 3.0 * off(spline)).all()
     assert np.abs(inside[:, 2:]).max() == 0.0
     away = term(motion([-3.0, 2.0, 0, 0, 0, 0]))

@@ -4,7 +4,8 @@
 - "station": a place, heading, depth and tilt are held, and moved in steps.
 - "tracking": what the pilot holds follows smooth references, whose rates and accelerations are fed forward.
 
-All are PID controllers of the axes that thrusters command, gains by pole placement after Fossen (2011), from the vehicle's own inertia and full thrust; the pseudo-inverse of the thrust matrix allocates.
+All are PID controllers of the axes that thrusters command, gains by pole placement after Fossen (2011),
+from the vehicle's own inertia and full thrust; the pseudo-inverse of the thrust matrix allocates.
 """
 
 from collections.abc import Callable
