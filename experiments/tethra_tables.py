@@ -308,7 +308,7 @@ def matrix_lines(name: str, values) -> list[str]:
 
 
 TEXT, LONGER, HIT = "text, 1000 s", "text, 2000 s", "collisions, 1000 s"
-# What the thesis claims: the error of one method's matrix (case, method, matrix) is below a share of another's.
+# What the thesis claims: the error of one method (case, method, matrix) is below a share of another's.
 # "Ignored" collisions are taken as at most a tenth more error.
 CLAIMS = (
     ("networks find M better than LS (6.1)", (TEXT, "networks", "M"), (TEXT, "LS (6.1)", "M"), 1.0),
@@ -355,7 +355,7 @@ def claims(parts: list[dict]) -> list[dict]:
     """What the thesis claims, decided by Wilcoxon's signed ranks of the errors' ratios, dive by dive.
 
     A claim holds, or is refuted, where the two-sided p of its pairs is below `LEVEL` after Holm's correction
-    for all claims; else these dives do not decide it. Errors on the diagonal; claims without data are left out.
+    for all claims; else these dives do not decide it. Errors are on the diagonal.
     """
     errors = {(p["case"], p["seed"]): p["errors"] for p in parts}
     seeds = sorted({p["seed"] for p in parts})
