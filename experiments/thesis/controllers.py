@@ -2,7 +2,7 @@
 
 Each is a module that turns what is wanted and what is seen into a wrench on surge, sway, heave and yaw, and
 keeps what it remembers in `memory`, a pytree. The classes are the thesis' (sec. 3.2): combined control and
-learning (CCL), separate control and learning (SCL), augmented control (AC). Papers are cited after the thesis.
+learning (CCL), separate control and learning (SCL), augmented control (AC). Papers as the thesis has them.
 """
 
 import abc
@@ -122,7 +122,7 @@ class PID(Controller):
 class LQ(Controller):
     """The linear-quadratic gain of each axis about rest, with an integral.
 
-    0.1 m, 0.3 m/s, 0.3 m s and a third of the thrust cost alike. Source: the algebraic Riccati equation, by scipy.
+    0.1 m, 0.3 m/s, 0.3 m s and a third of the thrust cost alike. Gains by scipy's Riccati equation.
     """
 
     gain: Float[Array, "4 3"]
@@ -226,7 +226,7 @@ class ModelReference(Controller):
 class Combined(Controller):
     """CCL: a perceptron beside a PD controller, whose wrench is the error that it learns from.
 
-    At each sample, all weights; a step of the gradient of size `rate`. Direct control, sec. 3.2.1; feedback-error learning.
+    At each sample, all weights; a step of the gradient of size `rate`. Direct control (sec. 3.2.1).
     """
 
     rate: float = 0.05
@@ -334,7 +334,7 @@ def _adam(loss, start, steps: int):
 
 
 class Augmented(Controller):
-    """AC: the file's feedforward and a PD controller, and a linear layer over products, learning at each sample.
+    """AC: the file's feedforward and a PD controller, and a linear layer over products that learns.
 
     Wrench W' phi with phi = (acceleration, velocity, its products, 1) and W' = Gamma phi s', less a leak;
     after Li et al. (2002) by the thesis' (3.14) and (3.15).
