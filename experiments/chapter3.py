@@ -15,7 +15,6 @@ causes that a diagnosis names.
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,7 +28,7 @@ from jaxtyping import Array, Float
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import study, write_results
+from experiments._study import spread, study, write_results
 from experiments.thesis.controllers import AXES, DT, MOST, PID, SONCS, Axes, Controller, Seen, all_of
 from jaxmarine import control
 from jaxmarine.control._follow import _off
@@ -128,7 +127,7 @@ class Allocator(eqx.Module):
 
     @classmethod
     def of(cls, vehicle: jm.Vehicle) -> "Allocator":
-        return cls(vehicle.plant().allocation[AXES] * vehicle.thrusters.max_thrust)
+        return cls(vehicle.plant().allocation[AXES] * vehicle.thrusters.max_thrust[None])
 
     def __call__(self, wrench) -> Float[Array, "8"]:
         return jnp.clip(jnp.linalg.pinv(self.effect) @ wrench, -1.0, 1.0)
@@ -263,8 +262,9 @@ def flown(
     return (after, sent, nu), memory, flight
 
 
-# One program for all seeds at once. The predictive one is timed by itself.
+# One program for all seeds at once, with one controller, or one for each.
 _flown = eqx.filter_jit(eqx.filter_vmap(flown, in_axes=(None, None, 0, 0, 0, 0, None)))
+_each_its_own = eqx.filter_jit(eqx.filter_vmap(flown, in_axes=(None, 0, 0, 0, 0, 0, None)))
 
 
 def begun(samples: Samples) -> tuple:
@@ -279,9 +279,9 @@ def _taught(pilot: SONCS, file: jm.Vehicle, key, steps: int):
     """Networks that were trained on the file's craft, at velocities and wrenches drawn at random."""
     first, second, third, fourth = jax.random.split(key, 4)
     nu = 0.5 * jax.random.uniform(first, (256, 4), minval=-1.0, maxval=1.0)
-    wrench = MOST * jax.random.uniform(second, (256, 4), minval=-1.0, maxval=1.0)
-    own = pilot.axes
-    slope = (wrench - own.linear * nu - own.quadratic * jnp.abs(nu) * nu) / own.mass
+    wrench = MOST[None] * jax.random.uniform(second, (256, 4), minval=-1.0, maxval=1.0)
+    mass, linear, quadratic = (x[None] for x in (pilot.axes.mass, pilot.axes.linear, pilot.axes.quadratic))
+    slope = (wrench - linear * nu - quadratic * jnp.abs(nu) * nu) / mass
     return pilot.learned(pilot.begin(third), nu, wrench, slope, fourth, steps)
 
 
@@ -293,27 +293,36 @@ def _taught_again(pilot: SONCS, memory, flight: Flight, keys, steps: int):
     return jax.vmap(one)(memory, flight.nu, flight.wrench, flight.slope, keys)
 
 
-def dive(file: jm.Vehicle, pilot, cases: Case, samples: Samples, size: Size, always: float = 0.0) -> Flight:
-    """All seeds' dives under one controller, in stretches between which it may learn."""
-    count = len(cases.errors)
+def dive(
+    file: jm.Vehicle, pilot, cases: Case, samples: Samples, size: Size, always: float = 0.0, program=_flown
+):
+    """All seeds' dives under one controller, in stretches between which it may learn.
+
+    Returns what came of them, and the CPU time of one sample of one seed [ms], without compiling and without
+    what is learned between stretches.
+    """
+    count, length = samples.t.shape
     keys = jax.random.split(jax.random.key(0), count)
+    memory = jax.vmap(pilot.begin)(keys)
     if isinstance(pilot, SONCS):
         one = _taught(pilot, file, keys[0], size.before)
         memory = jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *a.shape)), one)
-    else:
-        memory = jax.vmap(pilot.begin)(keys)
-    now, always = begun(samples), jnp.asarray(always)
-    if not isinstance(pilot, SONCS):
-        return _flown(file, pilot, memory, cases, samples, now, always)[2]
-    length, parts = round(STRETCH / DT), []
+        length = round(STRETCH / DT)
+    now, always, compiled, cpu, parts = begun(samples), jnp.asarray(always), None, 0.0, []
     for k in range(samples.t.shape[1] // length):
         part = slice(k * length, (k + 1) * length)
         cut = jax.tree.map(lambda a, part=part: a[:, part], samples)
         own = eqx.tree_at(lambda c: c.errors, cases, cases.errors[:, part])
-        now, memory, flight = _flown(file, pilot, memory, own, cut, now, always)
+        given = (file, pilot, memory, own, cut, now, always)
+        compiled = compiled or program.lower(*given).compile()
+        began = time.process_time()
+        now, memory, flight = jax.block_until_ready(compiled(*given))
+        cpu += time.process_time() - began
         parts.append(flight)
-        memory = _taught_again(pilot, memory, flight, keys, size.under_way)
-    return jax.tree.map(lambda *a: jnp.concatenate(a, axis=1), *parts)
+        if isinstance(pilot, SONCS):
+            memory = _taught_again(pilot, memory, flight, keys, size.under_way)
+    flight = jax.tree.map(lambda *a: jnp.concatenate(a, axis=1), *parts)
+    return flight, 1e3 * cpu / flight.off.size
 
 
 def row(flight: Flight) -> dict[str, Any]:
@@ -330,14 +339,6 @@ def row(flight: Flight) -> dict[str, Any]:
         "failed": failed.tolist(),
         "deepest_m": np.nanmax(np.asarray(flight.depth), axis=1).tolist(),
     }
-
-
-def timed(run: Callable[[], Any], count: int) -> float:
-    """CPU time of one sample [ms], of a program that has been compiled."""
-    jax.block_until_ready(run())
-    began = time.process_time()
-    jax.block_until_ready(run())
-    return 1e3 * (time.process_time() - began) / count
 
 
 # --- what naming the cause buys ------------------------------------------------------------------
@@ -387,12 +388,6 @@ def named(file: jm.Vehicle, case: Case, flight: Flight, k: int) -> tuple[jm.Vehi
 # --- what is written -----------------------------------------------------------------------------
 
 
-def told(values: Sequence[float], failed: Sequence[bool] = ()) -> str:
-    """Median, least and largest."""
-    del failed
-    return f"{np.median(values):.3f} ({np.min(values):.3f} to {np.max(values):.3f})"
-
-
 def markdown(results: dict[str, Any]) -> str:
     lines = [
         "| controller | way off, rms m | current | and weed | and payload | effort | failed | ms of CPU |",
@@ -402,13 +397,13 @@ def markdown(results: dict[str, Any]) -> str:
         thirds = [f"{np.median(part):.3f}" for part in one["thirds_rms_m"]]
         failed, effort = f"{sum(one['failed'])} of {len(one['failed'])}", np.median(one["effort"])
         lines.append(
-            f"| {name} | {told(one['rms_m'])} | {' | '.join(thirds)} | {effort:.3f} | {failed} "
+            f"| {name} | {spread(one['rms_m'], 3)} | {' | '.join(thirds)} | {effort:.3f} | {failed} "
             f"| {one['cpu_ms']:.2f} |"
         )
     if results["named"]:
         lines += ["", "| predictive control with | way off, rms m | deepest m |", "|---|---|---|"]
         for name, one in results["named"].items():
-            lines.append(f"| {name} | {told(one['rms_m'])} | {max(one['deepest_m']):.2f} |")
+            lines.append(f"| {name} | {spread(one['rms_m'], 3)} | {max(one['deepest_m']):.2f} |")
     return "\n".join(lines) + "\n"
 
 
@@ -431,24 +426,8 @@ def main(
             pilots = {name: pilots[name] for name in ("PID", "SCL: SONCS", "MPC with the file")}
         results: dict[str, Any] = {"dive_s": size.dive, "seeds": seeds, "controllers": {}, "named": {}}
         for name, pilot in bar.track(pilots.items(), description="controllers"):
-            flight = dive(file, pilot, cases, samples, size)
-            one = row(flight)
-            # Programs are compiled by now; SONCS' trainings, which are outside of the loop, are not counted.
-            count = seeds * samples.t.shape[1]
-            memory = jax.vmap(pilot.begin)(jax.random.split(jax.random.key(0), seeds))
-            if isinstance(pilot, SONCS):
-                length = round(STRETCH / DT)
-                cut = jax.tree.map(lambda a, n=length: a[:, :n], samples)
-                own = eqx.tree_at(lambda c: c.errors, cases, cases.errors[:, :length])
-                count = seeds * length
-            else:
-                cut, own = samples, cases
-            zero = jnp.zeros(())
-
-            def again(pilot=pilot, memory=memory, own=own, cut=cut, zero=zero):
-                return _flown(file, pilot, memory, own, cut, begun(cut), zero)
-
-            one["cpu_ms"] = timed(again, count)
+            flight, cpu = dive(file, pilot, cases, samples, size)
+            one = row(flight) | {"cpu_ms": cpu}
             results["controllers"][name] = one
             write_results(out, results, markdown(results))
         if not quick:
@@ -461,7 +440,7 @@ def causes(file, cases: Case, samples: Samples, size: Size, seeds: int) -> dict[
 
     The next dive of a seed has the path of its neighbour.
     """
-    recorded = dive(file, PID(Axes.of(file)), cases, samples, size, 1.0)
+    recorded, _ = dive(file, PID(Axes.of(file)), cases, samples, size, 1.0)
     fits, numbers = [], []
     for k in range(seeds):
         case = jax.tree.map(lambda a, k=k: a[k], cases)
@@ -479,15 +458,9 @@ def causes(file, cases: Case, samples: Samples, size: Size, seeds: int) -> dict[
             jax.vmap(lambda c: troubled(file, c, jnp.ones(()), jnp.ones(())))(cases)
         ),
     }
-    each = eqx.filter_jit(eqx.filter_vmap(flown, in_axes=(None, 0, 0, 0, 0, 0, None)))
     for name, pilot in runs.items():
-        memory = jax.vmap(pilot.begin)(jax.random.split(jax.random.key(0), seeds))
-        one = jnp.ones(())
-        if name.startswith("the file"):
-            flight = _flown(file, pilot, memory, cases, other, begun(other), one)[2]
-        else:
-            flight = each(file, pilot, memory, cases, other, begun(other), one)[2]
-        rows[name] = row(flight)
+        program = _flown if name.startswith("the file") else _each_its_own
+        rows[name] = row(dive(file, pilot, cases, other, size, 1.0, program)[0])
     return {"named": rows, "found": numbers}
 
 

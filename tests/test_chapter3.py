@@ -3,7 +3,6 @@
 import json
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -60,7 +59,7 @@ def test_self_tuning_finds_mass_damping_and_bias(bias):
     tuned = controllers.SelfTuning(axes)
     memory, nu = tuned.begin(None), np.zeros(4)
     mass, linear, quadratic = (np.asarray(x) for x in (axes.mass, axes.linear, axes.quadratic))
-    call = jax.jit(tuned)
+    call = eqx.filter_jit(tuned)
     # The first call only knows where it begins.
     _, memory = call(memory, seen(nu=nu))
     for _ in range(400):
@@ -79,7 +78,7 @@ def test_an_adaptive_law_ends_at_the_axis_that_it_is_given():
     axes = Axes.of(FILE)
     adaptive = controllers.ModelReference(axes)
     mass, linear = 1.5 * np.asarray(axes.mass), 2.0 * np.asarray(axes.linear)
-    memory, call = adaptive.begin(None), jax.jit(adaptive)
+    memory, call = adaptive.begin(None), eqx.filter_jit(adaptive)
     where, nu, late, early = np.zeros(4), np.zeros(4), [], []
     for k in range(1500):
         t = k * DT

@@ -256,7 +256,7 @@ class CMAC(Controller):
         return jnp.zeros((4, 8, 512))
 
     def _cells(self, nu, push):
-        offset = jnp.arange(8.0) / 8.0
+        offset = jnp.arange(8.0)[None] / 8.0
         a = jnp.floor(nu[:, None] / 0.15 + offset).astype(int)
         b = jnp.floor(push[:, None] / 0.15 + offset * 3.0 % 1.0).astype(int)
         return (a * 31 + b * 17) % 512
