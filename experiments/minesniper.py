@@ -84,15 +84,20 @@ RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class Size:
-    """Lengths of the two training runs and of the test run [s], seconds between starts, steps of the fit."""
+    """Lengths of the two training runs and of the test run [s], seconds between starts, steps of the fit.
+
+    - `alone`: with the networks that stand for the whole damping.
+    """
 
     train: float = 25.0
     test: float = 15.0
     between: float = 2.5
     steps: int = 30
+    alone: bool = True
 
 
-QUICK = Size(train=10.0, test=10.0, steps=15)
+QUICK = Size(train=10.0, test=10.0, steps=15, alone=False)
+HERE = Path(__file__).parent / "sniper"
 
 
 # --- craft and logs ------------------------------------------------------------------------------
@@ -240,7 +245,7 @@ def stretches(log: jm.Log) -> np.ndarray:
 
 
 def identified(
-    runs: Sequence[Run], steps: int, seed: int
+    runs: Sequence[Run], size: Size, seed: int
 ) -> tuple[dict[str, jm.Vehicle], RBFDamping, dict[str, Any]]:
     """The vehicles to be compared, the networks, and what their making tells."""
     printed = craft(PRINTED_LINEAR, PRINTED_QUADRATIC)
@@ -250,11 +255,11 @@ def identified(
     began = time.process_time()
     term = rbf_damping(DOFS, nu, force, parts)
     grown = time.process_time() - began
-    fit = trajectory_loss(printed, runs, steps)
+    fit = trajectory_loss(printed, runs, size.steps)
     squares, ridge = least_squares(nu, force, parts)
     vehicles = {
         PRINTED: printed,
-        **alone(runs, parts, seed),
+        **(alone(runs, parts, seed) if size.alone else {}),
         LS: squares,
         RBF: printed.place(jm.Placed(term)),
         FIT: fit.vehicle,
@@ -375,7 +380,7 @@ def trial(seed: int, size: Size) -> Trial:
     rng, vehicle = np.random.default_rng(seed), truth()
     train = [recorded(vehicle, f"train {k}", size.train, False, rng) for k in (1, 2)]
     test = recorded(vehicle, "test", size.test, True, rng)
-    vehicles, term, numbers = identified(train, size.steps, seed)
+    vehicles, term, numbers = identified(train, size, seed)
     error = {
         what: {name: errors(v, runs, size.between) for name, v in vehicles.items()}
         for what, runs in (("train", train), ("test", [test]))
@@ -445,22 +450,23 @@ def claims(results: Sequence[dict]) -> dict[str, Any]:
     }
 
 
+def table(results: Sequence[dict]) -> str:
+    """The errors of all models."""
+    lines = ["| model | training, 5 s | training, 10 s | test, 5 s | test, 10 s |", "|---|---|---|---|---|"]
+    for name in STYLES:
+        if name in results[0]["error_m"]["test"]:
+            cells = [told(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def markdown(results: Sequence[dict]) -> str:
     """The errors of all models, and the claims beside what was found."""
-    lines = [
-        f"Position error [m], median over {len(results)} seeds (lowest to highest).",
-        "",
-        "| model | training, 5 s | training, 10 s | test, 5 s | test, 10 s |",
-        "|---|---|---|---|---|",
-    ]
-    for name in STYLES:
-        cells = [told(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines = [f"Position error [m], median over {len(results)} seeds (lowest to highest).", "", table(results)]
     found = claims(results)
     negative = found["seeds_with_negative_damping_at_rest"]
     worst = {key: max(found[f"{key}_rbf_over_printed"]) for key in ("train_10_s", "test_5_s", "test_10_s")}
     lines += [
-        "",
         "| thesis, sec. 7.2, and bars | found here |",
         "|---|---|",
         "| fig. 7.3: RBF predicts the training runs correctly up to 10 s; bar: a quarter of (7.5) | "
@@ -537,7 +543,8 @@ def horizons(out: Path, trials: Sequence[Trial]) -> None:
     """Error over the horizon, median over seeds, training and test."""
     plot, axes = plt.subplots(1, 2, figsize=(10.0, 4.0), sharey=True)
     for ax, what in zip(axes, ("train", "test"), strict=True):
-        for name, (color, style) in STYLES.items():
+        for name in trials[0].vehicles:
+            color, style = STYLES[name]
             # Where half of the predictions have run away, the line ends.
             paths = np.nan_to_num(np.array([t.error[what][name] for t in trials]), nan=np.inf)
             ax.semilogy(

@@ -77,7 +77,7 @@ class Size:
 
 
 FULL = Size(data=1000.0, network_data=400.0, hidden=8, dive=180.0, change=60.0)
-QUICK = Size(data=60.0, network_data=30.0, hidden=2, dive=45.0, change=10.0)
+QUICK = Size(data=30.0, network_data=30.0, hidden=2, dive=45.0, change=10.0)
 
 # The last is ours: a perceptron beside guessed damping, with the grey box's mass, by trajectories.
 # The thesis' own networks are in `tethra_networks`.

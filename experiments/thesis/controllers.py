@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import scipy.linalg
+import scipy.signal
 from jaxtyping import Array, Float
 
 import jaxmarine as jm
@@ -119,8 +120,16 @@ class PID(Controller):
         return wrench, memory + jnp.where(inside, more, 0.0)
 
 
+def regulator(mass: float, linear: float, most: float) -> tuple[np.ndarray, ...]:
+    """Of an axis about rest: integral, way off and slip from sample to sample under a held wrench, and costs."""
+    a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -linear / mass]])
+    b = np.array([[0.0], [0.0], [-1.0 / mass]])
+    a, b, *_ = scipy.signal.cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), DT)
+    return a, b, np.diag([1.0 / 0.3**2, 1.0 / 0.1**2, 1.0 / 0.3**2]), np.array([[1.0 / (most / 3) ** 2]])
+
+
 class LQ(Controller):
-    """The linear-quadratic gain of each axis about rest, with an integral.
+    """The linear-quadratic gain of each axis about rest, sample by sample, with an integral.
 
     0.1 m, 0.3 m/s, 0.3 m s and a third of the thrust cost alike. Gains by scipy's Riccati equation.
     """
@@ -130,11 +139,9 @@ class LQ(Controller):
     @classmethod
     def of(cls, axes: Axes) -> Self:
         def one(mass, linear, most):
-            a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -linear / mass]])
-            b = np.array([[0.0], [0.0], [-1.0 / mass]])
-            cost = np.diag([1.0 / 0.3**2, 1.0 / 0.1**2, 1.0 / 0.3**2])
-            effort = np.array([[1.0 / (most / 3) ** 2]])
-            return -np.linalg.solve(effort, b.T @ scipy.linalg.solve_continuous_are(a, b, cost, effort))[0]
+            a, b, cost, effort = regulator(mass, linear, most)
+            riccati = scipy.linalg.solve_discrete_are(a, b, cost, effort)
+            return -np.linalg.solve(effort + b.T @ riccati @ b, b.T @ riccati @ a)[0]
 
         gains = [one(*x) for x in zip(np.asarray(axes.mass), np.asarray(axes.linear), MOST, strict=True)]
         return cls(axes, jnp.asarray(np.array(gains)))
