@@ -46,7 +46,8 @@ DEEPEST = 4.0  # [m] floor that the payload pulls towards; the path goes down to
 AWAY = 2.0  # [m] from the path: the dive has failed
 STRETCH = 15.0  # [s] between trainings of those that learn outside of the loop
 MOVES, EACH = 6, 2  # of the predictive controller: so many commands, each held for so many samples
-SOLVES = 3  # steps of Levenberg-Marquardt for each command, from the last plan moved on
+SOLVES = 6  # steps of Levenberg-Marquardt for each command, from the last plan
+BEND = 2.0  # largest argument of the tanh that keeps commands within 1: 0.96 of the thrust, with slope left
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +141,7 @@ class Predictive(eqx.Module):
     """Commands whose simulated motion stays on the reference: `MOVES` of them, the first is sent.
 
     Least squares of the way off (5 cm, 0.05 rad), the slip (0.2), commands (3), their changes (0.5) and depth
-    beyond the floor (5 mm).
+    beyond the floor (2 cm).
 
     - `vehicle`: what it predicts with. `observed`: how fast a constant wrench is learned that the predictions
       lack, per sample; 0: not.
@@ -175,14 +176,18 @@ class Predictive(eqx.Module):
             off = jax.vmap(_off)(wanted, states)[:, AXES] / 0.05
             slip = (wanted.velocity - states.velocity)[:, AXES] / 0.2
             command = jnp.tanh(plan)
-            below = jnp.maximum(states.position[:, 2] - DEEPEST, 0.0) / 0.005
+            below = jnp.maximum(states.position[:, 2] - DEEPEST, 0.0) / 0.02
             # The root of the squares keeps plans within tanh's bend.
             parts = (off, slip, command / 3.0, jnp.diff(command, axis=0) / 0.5, below, 0.01 * plan)
             return jnp.concatenate([part.ravel() for part in parts])
 
+        # A plan that a disturbance has led into the bends of tanh is left for none, where that costs less.
+        none = jnp.zeros_like(plan)
+        cost, of_none = (jnp.sum(residuals(one, bias) ** 2) for one in (plan, none))
+        plan = jnp.where(cost < of_none, plan, none)
         solver = optx.LevenbergMarquardt(rtol=1e-3, atol=1e-3)
         found = optx.least_squares(residuals, solver, plan, bias, max_steps=SOLVES, throw=False)
-        plan = jnp.clip(jnp.where(jnp.isfinite(found.value), found.value, 0.0), -2.5, 2.5)
+        plan = jnp.clip(jnp.where(jnp.isfinite(found.value), found.value, 0.0), -BEND, BEND)
         command = jnp.tanh(plan[0])
         drive = Input(pushed(plant, command), command, bias, jnp.zeros(()))
         expected = hold(plant, seen, drive, DT, 1).velocity

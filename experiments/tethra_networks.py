@@ -32,7 +32,7 @@ from jaxmarine.fitting import damping_targets, fit_samples, identify_by_networks
 from jaxmarine.fitting._subnets import Form, mass_of, train_acceleration
 from jaxmarine.networks import NetworkDamping
 
-HERE = Path(__file__).parent / "tethra"
+HERE = Path(__file__).parent / "tethra" / "networks"
 # The method as printed, and mended: whether the mass has an intercept and is symmetric, the damping's form.
 WAYS: dict[str, tuple[bool, bool, Form]] = {
     "networks as printed": (False, False, "free"),

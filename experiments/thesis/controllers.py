@@ -121,7 +121,7 @@ class PID(Controller):
 
 
 def regulator(mass: float, linear: float, most: float) -> tuple[np.ndarray, ...]:
-    """Of an axis about rest: integral, way off and slip from sample to sample under a held wrench, and costs."""
+    """Of an axis about rest: integral, way off and slip from sample to sample of a held wrench, and costs."""
     a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -linear / mass]])
     b = np.array([[0.0], [0.0], [-1.0 / mass]])
     a, b, *_ = scipy.signal.cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), DT)
@@ -288,12 +288,12 @@ class SONCS(Controller):
         first, second = jax.random.split(key)
         return perceptron(8, 16, 4, first), perceptron(12, 16, 4, second)
 
-    def wrench(self, net: Perceptron, off, slip, push):
-        return MOST * net(jnp.concatenate([2 * off, 4 * slip, 2 * push]))
+    def wrench(self, net: Perceptron, off, slip, wanted):
+        return MOST * net(jnp.concatenate([2 * off, 4 * slip, 2 * wanted]))
 
     def __call__(self, memory, seen):
         _, net = memory
-        return self.wrench(net, seen.off, seen.slip, seen.push) + seen.buoyant, memory
+        return self.wrench(net, seen.off, seen.slip, seen.wanted) + seen.buoyant, memory
 
     @staticmethod
     def slope(net: Perceptron, nu, wrench):
@@ -316,7 +316,7 @@ class SONCS(Controller):
             def one(off, nu, wanted):
                 def step(now, _):
                     off, nu = now
-                    tau = self.wrench(net, off, wanted - nu, jnp.zeros(4))
+                    tau = self.wrench(net, off, wanted - nu, wanted)
                     nu = nu + DT * self.slope(forward, nu, jnp.clip(tau, -MOST, MOST))
                     off = off + DT * (wanted - nu)
                     cost = ((off / 0.1) ** 2 + ((wanted - nu) / 0.3) ** 2 + (tau / MOST) ** 2).mean()
