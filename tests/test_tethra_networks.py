@@ -16,6 +16,8 @@ from experiments import tethra_networks as study
 from jaxmarine._types import DOFS
 from jaxmarine.networks import DampingNetworks, NetworkDamping, perceptron
 
+from .conftest import ROOT
+
 
 def braking(seed: int, size: float) -> NetworkDamping:
     """Random networks of the form that brakes, with forces of a size [N, N m]."""
@@ -80,6 +82,12 @@ def test_an_update_is_kept_only_where_it_explains_what_came_later(monkeypatch):
         kept = online.update(after, log)
         assert kept is after
     assert (online.taken, online.offered) == (1, 3)
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((study.HERE / "results.json").read_text())
+    assert sum(one.get("ran_away", 0) for one in found["summary"]) == 0
+    assert study.table(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
 @pytest.mark.slow  # trains six times

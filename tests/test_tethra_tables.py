@@ -9,6 +9,8 @@ import pytest
 from experiments import tethra_tables
 from experiments.thesis import plant
 
+from .conftest import ROOT
+
 
 def test_quick_run_writes_tables_and_goes_on_where_it_was(tmp_path):
     tethra_tables.main(tmp_path, seeds=1, quick=True)
@@ -79,3 +81,9 @@ def test_claims_are_decided_by_their_pairs():
     # One that has diverged counts as the worse.
     ahead[3, 1] = np.inf
     assert tethra_tables.claims(parts(ahead))[0]["wins"] == 12
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((tethra_tables.HERE / "results.json").read_text())["claims"]
+    assert {one["dives"] for one in found} == {12} and len(found) == len(tethra_tables.CLAIMS)
+    assert tethra_tables.claim_table(found) in (ROOT / "experiments" / "README.md").read_text()
