@@ -184,7 +184,7 @@ def ridged(nu: np.ndarray, force: np.ndarray, ridge: float) -> Float[np.ndarray,
     out = np.zeros((6, 12))
     for axis, there in enumerate(np.concatenate([PRINTED_LINEAR, PRINTED_QUADRATIC], axis=1) != 0):
         own = columns[:, there]
-        size = np.sqrt((own**2).sum(axis=0))
+        size = np.maximum(np.sqrt((own**2).sum(axis=0)), 1e-12)  # an axis may be idle
         design = np.concatenate([own / size, np.sqrt(ridge) * np.eye(len(size))])
         right = np.concatenate([force[:, axis], np.zeros(len(size))])
         out[axis, there] = np.linalg.lstsq(design, right, rcond=None)[0] / size

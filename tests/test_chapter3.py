@@ -13,6 +13,8 @@ from experiments import chapter3
 from experiments.thesis import controllers
 from experiments.thesis.controllers import AXES, DT, Axes, Seen
 
+from .conftest import ROOT
+
 FILE = chapter3.craft()
 
 
@@ -117,6 +119,12 @@ def test_commands_of_a_wrench_give_it_back():
     np.testing.assert_allclose(allocate.effect @ allocate(wrench), wrench, atol=1e-9)
     assert float(jnp.abs(allocate(100.0 * wrench)).max()) == 1.0
     assert list(AXES) == [0, 1, 2, 5]
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((chapter3.HERE / "results.json").read_text())
+    assert len(found["controllers"]["PID"]["failed"]) == found["seeds"] == 20
+    assert chapter3.markdown(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
 @pytest.mark.slow  # compiles the predictive controller

@@ -78,11 +78,11 @@ def test_a_ridge_keeps_the_pattern_and_draws_to_none():
     force = nu @ linear.T + (np.abs(nu) * nu) @ quadratic.T
     exact = minesniper.ridged(nu, force, 0.0)
     np.testing.assert_allclose(exact, np.concatenate([linear, quadratic], axis=1), atol=1e-9)
-    # A ridge of one doubles the squares of a column that is alone: half of what it had.
+    # A ridge of one: (5 - a - b)² + a² + b² is least at a = b = 5 / 3.
     alone = np.zeros((200, 6))
     alone[:, 5] = np.sign(rng.normal(size=200))
     half = minesniper.ridged(alone, 5.0 * alone, 1.0)[5]
-    assert half[[5, 11]].sum() == pytest.approx(5.0 * 2 / 3)  # two columns that are one share it
+    assert half[[5, 11]].sum() == pytest.approx(5.0 * 2 / 3)
 
 
 def test_the_page_says_what_was_found():

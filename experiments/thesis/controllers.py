@@ -289,7 +289,7 @@ class SONCS(Controller):
         return perceptron(8, 16, 4, first), perceptron(12, 16, 4, second)
 
     def wrench(self, net: Perceptron, off, slip, wanted):
-        return MOST * net(jnp.concatenate([2 * off, 4 * slip, 2 * wanted]))
+        return jnp.asarray(MOST) * net(jnp.concatenate([2 * off, 4 * slip, 2 * wanted]))
 
     def __call__(self, memory, seen):
         _, net = memory
