@@ -313,12 +313,12 @@ def dive(
         one = _taught(pilot, file, keys[0], size.before)
         memory = jax.tree.map(lambda a: jnp.broadcast_to(a, (count, *a.shape)), one)
         length = round(STRETCH / DT)
-    now, always, compiled, cpu, parts = begun(samples), jnp.asarray(always), None, 0.0, []
+    now, from_start, compiled, cpu, parts = begun(samples), jnp.asarray(always), None, 0.0, []
     for k in range(samples.t.shape[1] // length):
         part = slice(k * length, (k + 1) * length)
         cut = jax.tree.map(lambda a, part=part: a[:, part], samples)
         own = eqx.tree_at(lambda c: c.errors, cases, cases.errors[:, part])
-        given = (file, pilot, memory, own, cut, now, always)
+        given = (file, pilot, memory, own, cut, now, from_start)
         compiled = compiled or program.lower(*given).compile()
         began = time.process_time()
         now, memory, flight = jax.block_until_ready(compiled(*given))

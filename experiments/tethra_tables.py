@@ -115,7 +115,7 @@ def data_of(vehicle: jm.Vehicle, case: Case, seed: int) -> Data:
     def measured(k: int) -> jm.Log:
         part = slice(k * count, (k + 1) * count)
         of_one = dataclasses.replace(
-            clean, t=clean.t[part], channels=clean.channels[part], commands=clean.commands[part]
+            clean, t=clean.t[part], channels=clean.channels[part], commands=np.asarray(clean.commands)[part]
         )
         return plant.noisy(of_one, case.noise, seeds[k])
 
@@ -372,7 +372,8 @@ def claims(parts: list[dict]) -> list[dict]:
         pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
         if pairs:
             ratio = np.array([a / (share * b) for a, b in pairs])
-            p = float(scipy.stats.wilcoxon(np.log(ratio)).pvalue)
+            tested: Any = scipy.stats.wilcoxon(np.log(ratio))
+            p = float(tested.pvalue)
             middle = np.median(pairs, axis=0)
             one = {"claim": words, "median": float(middle[0]), "against": float(middle[1])}
             out.append(
@@ -385,7 +386,8 @@ def claims(parts: list[dict]) -> list[dict]:
                 }
             )
     if out:
-        for one, p in zip(out, multipletests([one["p"] for one in out], method="holm")[1], strict=True):
+        held: Any = multipletests([one["p"] for one in out], method="holm")[1]
+        for one, p in zip(out, held, strict=True):
             sure = p < LEVEL
             one["p_holm"] = float(p)
             one["verdict"] = ("holds" if one["ratio"] < 1 else "refuted") if sure else "undecided"

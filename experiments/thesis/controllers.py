@@ -124,7 +124,8 @@ def regulator(mass: float, linear: float, most: float) -> tuple[np.ndarray, ...]
     """Of an axis about rest: integral, way off and slip from sample to sample of a held wrench, and costs."""
     a = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -linear / mass]])
     b = np.array([[0.0], [0.0], [-1.0 / mass]])
-    a, b, *_ = scipy.signal.cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), DT)
+    sampled: Any = scipy.signal.cont2discrete((a, b, np.eye(3), np.zeros((3, 1))), DT)
+    a, b = sampled[:2]
     return a, b, np.diag([1.0 / 0.3**2, 1.0 / 0.1**2, 1.0 / 0.3**2]), np.array([[1.0 / (most / 3) ** 2]])
 
 
@@ -306,7 +307,7 @@ class SONCS(Controller):
         def miss(net):
             return ((jax.vmap(lambda n, w: self.slope(net, n, w))(nu, wrench) - slope) ** 2).mean()
 
-        forward = _adam(miss, forward, steps)
+        forward: Any = _adam(miss, forward, steps)
         first, second, third = jax.random.split(key, 3)
         off = jax.random.uniform(first, (64, 4), minval=-0.5, maxval=0.5)
         begin = jax.random.uniform(second, (64, 4), minval=-0.4, maxval=0.4)
