@@ -15,7 +15,7 @@ VEHICLE = plant.tethra()
 
 @pytest.fixture(scope="module")
 def log() -> jm.Log:
-    return plant.dive(VEHICLE, 40.0, seed=3)
+    return plant.dive(VEHICLE, 40.0, 3)
 
 
 def test_allocation_gives_the_wrench_that_was_asked_for():

@@ -1,6 +1,6 @@
 """Tethra, the operator at its sticks, the pool, and the noise of its measurements (thesis, sec. 5.2-5.3).
 
-    log = plant.dive(plant.tethra(), duration=1000.0, seed=0)
+    log = plant.dive(plant.tethra(), duration=1000.0, 0)
     noisy = plant.noisy(log, "text", seed=1)
 
 The log holds commands, attitude, velocities and accelerations of every tenth of a second.

@@ -14,7 +14,7 @@ from ._base import Craft, Motion, Suspect, WrenchEffect, free, per_dof, scalar, 
 
 
 class ConstantWrench(WrenchEffect):
-    """A constant force or moment in body axes. Neutral: 0."""
+    """A constant force or moment in body axes. Neutral: 0. Source: bias forces, after Fossen (2021)."""
 
     name = "constant_wrench"
     units = {"value": "N or N m"}
