@@ -42,10 +42,8 @@ WAYS: dict[str, tuple[bool, bool, Form]] = {
 BRAKING = list(WAYS)[-1]
 WINDOW, JUDGED = 15.0, 5.0  # [s] that an update learns from, and that judge it
 THINNED = 4  # one of so many samples trains the networks that brake
-REHEARSED, SHARE = (
-    200,
-    0.3,
-)  # velocities of the first log at which an update keeps what was known, their weight
+REHEARSED = 200  # velocities of the first log at which an update keeps what was known
+SHARE = 0.3  # their weight
 # Tables 5.3 to 5.5, rms per axis [m]; case I from the text ("less than a millimeter"). Which networks learned
 # online in case III the thesis does not say beyond its own; ours that brake stand beside it.
 PRINTED = {

@@ -375,10 +375,11 @@ def claims(parts: list[dict]) -> list[dict]:
             tested: Any = scipy.stats.wilcoxon(np.log(ratio))
             p = float(tested.pvalue)
             middle = np.median(pairs, axis=0)
-            one = {"claim": words, "median": float(middle[0]), "against": float(middle[1])}
             out.append(
-                one
-                | {
+                {
+                    "claim": words,
+                    "median": float(middle[0]),
+                    "against": float(middle[1]),
                     "ratio": float(np.median(ratio)),
                     "wins": int((ratio < 1).sum()),
                     "dives": len(ratio),

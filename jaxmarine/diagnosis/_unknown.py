@@ -462,9 +462,7 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
     accepted: tuple[Dependence, ...] = ()
     pulls = np.zeros(0)
     for one in found:
-        wrenches = _wrenches(k, lagged(k, (*accepted, one)))
-        size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
-        g, h = _beside(k, wrenches / np.maximum(size, 1e-300))
+        g, h = _beside_shapes(k, lagged(k, (*accepted, one)))
         first = len(g) - one.features.shape[-1]
         own, rest = np.arange(first, len(g)), np.arange(first)
         h[range(k.width, first), range(k.width, first)] += pulls
@@ -483,9 +481,7 @@ def nats_in_place(k: Knots, members: Sequence[slice], found: tuple[Dependence, .
 
     - `members`: where their parameters lie in z; `phi`: dispersion of the scores.
     """
-    wrenches = _wrenches(k, found)
-    size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
-    g, h = _beside(k, wrenches / np.maximum(size, 1e-300))
+    g, h = _beside_shapes(k, found)
     out = np.concatenate([np.arange(where.start, where.stop) for where in members])
     back = np.zeros(len(g))
     back[out] = -k.offset[out]
@@ -502,6 +498,13 @@ def nats_in_place(k: Knots, members: Sequence[slice], found: tuple[Dependence, .
         h[own, own] += phi * pull
         rest, first = np.append(rest, own), own[-1] + 1
     return float(nats)
+
+
+def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and information of the known numbers and of the shapes, each of mean square one."""
+    wrenches = _wrenches(k, found)
+    size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
+    return _beside(k, wrenches / np.maximum(size, 1e-300))
 
 
 def lagged(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:

@@ -177,11 +177,11 @@ class Unnamed:
         members = now.model.members
         if len(members) < 2 or not self.dependences:
             return False
-        k, phi, found = now.knots, now.plain_phi, self.dependences
+        k, found = now.left, self.dependences
         if now.model.beside is not None:
-            k, phi, found = now.left, now.phi, lagged(now.left, found)
+            found = lagged(k, found)
         named = -sum(prior_nats(self.bench, member) for member in members)
-        unnamed = nats_in_place(k, self.bench.slices(members), found, phi) - len(found) * tried_nats(k)
+        unnamed = nats_in_place(k, self.bench.slices(members), found, now.phi) - len(found) * tried_nats(k)
         return bool(unnamed > named)
 
     def leaves_less(self, rest: float, share: float) -> bool:
