@@ -243,8 +243,9 @@ def _columns(path: Path | None):
 
 def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
+    from ._numbers import plus_minus
     from .logs import moment
-    from .reports import plus_minus, write_report
+    from .reports import write_report
     from .vehicle_io import save_vehicle
 
     _folder(out)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine import _numbers
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS, DOFS
 from jaxmarine.diagnosis import (
@@ -30,7 +31,7 @@ from jaxmarine.diagnosis import (
 from jaxmarine.effects import CATALOGUE, Waves
 from jaxmarine.fitting import AxisCheck, Check
 from jaxmarine.fitting._coverage import AxisCoverage
-from jaxmarine.reports import _causes, _curves, _numbers, _page, _svg, _words, _write, write_report
+from jaxmarine.reports import _causes, _curves, _page, _svg, _words, _write, write_report
 from jaxmarine.vehicle import Body, Damping, Thrusters, Vehicle
 
 PLANAR = ("surge", "sway", "yaw")
@@ -778,9 +779,24 @@ def test_an_effect_of_the_users_own_is_told_by_its_name():
         """An effect that the catalogue does not know."""
 
         name = "sail_force"
+        titled = "force of the sail"
         advice = "reef the sail"
 
+        @classmethod
+        def said(cls, found, craft) -> str:
+            return (
+                f"the sail pulls with {found.parameters['area'].value:g} m² at {float(craft.density):g} kg/m³"
+            )
+
     catalogue = (*CATALOGUE, SailForce)
+    assert (
+        _causes.what(own, vehicle(), catalogue=catalogue)
+        == f"The sail pulls with 2 m² at {vehicle().density:g} kg/m³."
+    )
+    assert [_causes.title(label, catalogue) for label in ("sail_force", "sail_force:main")] == [
+        "force of the sail",
+        "force of the sail in main",
+    ]
     assert _words.advice(own, catalogue) == "Reef the sail."
     # Also one that was only weighed.
     assert _words.values("sail_force", {"period": 2.0}, catalogue) == "period 2 s"

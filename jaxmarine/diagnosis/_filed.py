@@ -9,51 +9,33 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import DOFS
-from ..effects import (
-    AbstractEffect,
-    AddedMass,
-    CoupledAddedMass,
-    CoupledDamping,
-    LinearDamping,
-    QuadraticDamping,
-    Suspect,
-)
+from ..effects import CATALOGUE, AbstractEffect, Suspect
 from ..fitting import PRIOR_KEYS
 from ..vehicle import Vehicle
 from ._saturated import Layout
 
 # How far coefficients of a vehicle file are commonly wrong, relative to their value.
 FILE_ERROR = 0.1
-# Where a vehicle has the matrix that an effect changes.
-FILED: dict[type[AbstractEffect], str] = {
-    AddedMass: "added_mass",
-    CoupledAddedMass: "added_mass",
-    LinearDamping: "damping.linear",
-    QuadraticDamping: "damping.quadratic",
-    CoupledDamping: "damping.linear",
-}
+# Those that change an entry of a matrix that the file has.
+FILED: tuple[type[AbstractEffect], ...] = tuple(effect for effect in CATALOGUE if effect.filed)
 
 
 @dataclasses.dataclass(frozen=True)
 class Coefficient:
     """A coefficient that the file has: where it lies, its value there, and the width of its prior.
 
-    - `suspect`: the one that alters it, by its `effect`.
+    - `suspect`: the one that alters it; `kind`: the matrix that it is an entry of, such as `damping.linear`.
     - `place`: row and column of its matrix; `index`: its place among the saturated model's parameters.
     """
 
     suspect: int
-    effect: type[AbstractEffect]
+    kind: str
     label: str
     place: tuple[int, int]
     index: int
     value: float
     prior: float
     unit: str
-
-    @property
-    def kind(self) -> str:
-        return FILED[self.effect]
 
     @property
     def diagonal(self) -> bool:
@@ -71,18 +53,19 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
     mass, spreads = np.asarray(vehicle.mass_matrix), dict(vehicle.prior)
     out = []
     for i, suspect in enumerate(layout.suspects):
-        if suspect.effect not in FILED:
+        kind = suspect.effect.filed
+        if not kind:
             continue
         row, column = matrix_place(suspect)
-        value = np.asarray(attrgetter(FILED[suspect.effect])(vehicle))[row, column]
+        value = np.asarray(attrgetter(kind)(vehicle))[row, column]
         if row != column and not value:
             continue
-        scale = mass[row, column] if suspect.effect is AddedMass else value
-        share = spreads.get(PRIOR_KEYS[FILED[suspect.effect]], 0.0)
+        scale = mass[row, column] if row == column and kind == "added_mass" else value
+        share = spreads.get(PRIOR_KEYS[kind], 0.0)
         out.append(
             Coefficient(
                 i,
-                suspect.effect,
+                kind,
                 suspect.label,
                 (row, column),
                 int(np.flatnonzero(layout.columns[i][:, 0])[0]),
@@ -107,7 +90,7 @@ def refiled(vehicle: Vehicle, base: Sequence[Coefficient], changes: Float[np.nda
         for c, change in zip(base, changes, strict=True):
             if c.kind == kind:
                 matrix[c.place] = change
-                if c.effect is CoupledAddedMass:
+                if kind == "added_mass":
                     matrix[c.place[::-1]] = change
         vehicle = eqx.tree_at(attrgetter(kind), vehicle, attrgetter(kind)(vehicle) + matrix)
     return vehicle

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import DOFS
-from ..effects import AbstractEffect, AddedMass, FluidMemory, QuadraticDamping
+from ..effects import AbstractEffect
 from ..fitting import (
     LEAST_DAMPING,
     USUAL_MEMORY,
@@ -688,14 +688,13 @@ class Workbench:
         theta = self.theta(model)[: len(self.stretches(model.members).passed)]
         braking = np.zeros((len(theta), 6))
         for c in self.base:
-            if c.diagonal and c.effect is not AddedMass:
-                axis, by_speed = c.place[0], c.effect is QuadraticDamping
+            if c.diagonal and c.kind != "added_mass":
+                axis, by_speed = c.place[0], c.kind == "damping.quadratic"
                 least = c.value + theta[:, c.index] + min(c.prior, FILE_ERROR * abs(c.value) or c.prior)
                 braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
         for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
-            if suspect.effect is FluidMemory:
-                # What comes late brakes as much in the end.
-                gain = columns[:, list(suspect.slots).index("gain")]
+            if suspect.effect.brakes_by:
+                gain = columns[:, list(suspect.slots).index(suspect.effect.brakes_by)]
                 braking[:, DOFS.index(str(suspect.target))] += theta @ gain
         return bool((braking >= 0).all())
 

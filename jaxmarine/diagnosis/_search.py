@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
-from ..effects import Waves
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
 from ._score import Reduced, savings, scatter, step_with, t_value
@@ -165,11 +164,11 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     out = []
     for i in bench.open(model):
         suspect = bench.layout.suspects[i]
-        if not (suspect.starts or suspect.effect is Waves):
+        if not (suspect.starts or suspect.effect.swings):
             continue
         neutral = bench.layout.neutral_of(i)
         names = list(suspect.slots)
-        if suspect.effect is Waves:
+        if suspect.effect.swings:
             promised, start = wave_start(knots(bench, model))
             if promised > WORTHWHILE * best:
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))

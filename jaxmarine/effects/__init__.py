@@ -46,7 +46,13 @@ from ._base import (
     blend as blend,
 )
 from ._base import (
+    each as each,
+)
+from ._base import (
     place as place,
+)
+from ._base import (
+    whole as whole,
 )
 from ._drive import (
     Deadband as Deadband,
@@ -103,6 +109,9 @@ from ._sensor import (
     VelocityScale as VelocityScale,
 )
 from ._water import SteadyCurrent as SteadyCurrent
+from ._words import Found as Found
+from ._words import listed as listed
+from ._words import push as push
 from ._wrench import (
     ConstantWrench as ConstantWrench,
 )

@@ -2,15 +2,18 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, Self
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numbers import number
 from .._types import Scalar
 from ..actuators import FREE, AbstractActuators, CrossFlow, Propellers, Supply, Surfaces, Wind
-from ._base import ActuatorEffect, Craft, Suspect, free, scalar, zeros
+from ._base import ActuatorEffect, Craft, Filed, Suspect, each, each_and_all, free, scalar, whole, zeros
+from ._words import Found, degrees, estimate, listed, value_of
 
 
 def all_of(craft: Craft, kind: type[AbstractActuators]) -> Any:
@@ -22,10 +25,27 @@ def names_of(craft: Craft, kind: type[AbstractActuators]) -> tuple[str, ...]:
     return () if all_of(craft, kind) is None else all_of(craft, kind).names
 
 
-def _moving(craft: Craft) -> dict[int, str]:
-    """Surfaces that have a column, by their places."""
-    found = all_of(craft, Surfaces)
-    return {} if found is None else {i: n for i, n in enumerate(found.names) if not found.fixed[i]}
+def _moving(craft: Craft) -> tuple[str, ...]:
+    """Surfaces that have a column."""
+    surfaces = all_of(craft, Surfaces)
+    if surfaces is None:
+        return ()
+    return tuple(name for name, fixed in zip(surfaces.names, surfaces.fixed, strict=True) if not fixed)
+
+
+def _each_moving(
+    effect: type[ActuatorEffect], craft: Craft, *starts: Mapping[str, float]
+) -> tuple[Suspect, ...]:
+    """A suspect for each surface that moves, of an effect with an entry for all of them."""
+    suspects = each(effect, names_of(craft, Surfaces), *starts)
+    return tuple(suspect for suspect in suspects if suspect.target in _moving(craft))
+
+
+def _of(what: str, target: str | None, kind: str) -> str:
+    """`force of each control surface`, `force of all control surfaces`, ``force of `rudder` ``."""
+    if target is None:
+        return f"{what} of each {kind}"
+    return f"{what} of {f'all {kind}s' if target == 'all' else f'`{target}`'}"
 
 
 class SurfaceGain(ActuatorEffect):
@@ -48,10 +68,18 @@ class SurfaceGain(ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        names = names_of(craft, Surfaces)
-        each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
-        together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
-        return (*each, together) if len(names) > 1 else each
+        return each_and_all(cls, names_of(craft, Surfaces))
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return _of("force", target, "control surface")
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        who = "all control surfaces give" if found.target == "all" else f"surface `{found.target}` gives"
+        text = f"{who} {estimate(found, 'factor')} times the force of the file"
+        return f"{text}: it acts the wrong way" if value_of(found, "factor") < 0 else text
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Surfaces):
@@ -80,7 +108,16 @@ class SurfaceOffset(ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return tuple(Suspect(cls, name, {"angle": (i,)}) for i, name in _moving(craft).items())
+        return _each_moving(cls, craft)
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return _of("offset", target, "control surface")
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"surface `{found.target}` stands {degrees(found, 'angle')} beside its command"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Surfaces):
@@ -109,8 +146,16 @@ class SurfaceStuck(ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        starts = ({"angle": 0.0}, {"angle": 0.3}, {"angle": -0.3})
-        return tuple(Suspect(cls, name, {"angle": (i,)}, starts) for i, name in _moving(craft).items())
+        return _each_moving(cls, craft, {"angle": 0.0}, {"angle": 0.3}, {"angle": -0.3})
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return _of("stuck deflection", target, "control surface")
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"surface `{found.target}` is stuck at {degrees(found, 'angle')}, whatever is commanded"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Surfaces):
@@ -126,6 +171,7 @@ class SurfaceLag(ActuatorEffect):
     """
 
     name = "surface_lag"
+    titled = "lag of the control surfaces"
     units = {"time_constant": "s"}
     confused_with = ("input_delay", "surface_rate")
     shown_by = "abrupt changes of deflection at speed, logged at 10 Hz or faster"
@@ -134,17 +180,14 @@ class SurfaceLag(ActuatorEffect):
     time_constant: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, cls.units if _moving(craft) else (), *({"time_constant": v} for v in (0.15, 0.6)))
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        if not _moving(craft):
-            return ()
-        return (
-            Suspect(cls, None, {"time_constant": (0,)}, tuple({"time_constant": v} for v in (0.15, 0.6))),
-        )
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        lag = estimate(found, "time_constant")
+        return f"the control surfaces follow their commands with {lag} more lag than the file says"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Surfaces):
@@ -159,6 +202,7 @@ class SurfaceRate(ActuatorEffect):
     """
 
     name = "surface_rate"
+    titled = "rate of the control surfaces"
     units = {"limit": "rad/s"}
     plausible = {"limit": (0.0, np.inf)}
     confused_with = ("surface_lag", "input_delay")
@@ -174,9 +218,12 @@ class SurfaceRate(ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        if not _moving(craft):
-            return ()
-        return (Suspect(cls, None, {"limit": (0,)}, tuple({"limit": value} for value in (0.05, 0.2, 0.6))),)
+        return whole(cls, cls.units if _moving(craft) else (), *({"limit": v} for v in (0.05, 0.2, 0.6)))
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"the control surfaces turn no faster than {degrees(found, 'limit')}/s"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Surfaces):
@@ -208,8 +255,16 @@ class Wake(ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        names = names_of(craft, Propellers)
-        return tuple(Suspect(cls, name, {"fraction": (i,)}) for i, name in enumerate(names))
+        return each(cls, names_of(craft, Propellers))
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return _of("wake", target, "propeller")
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"the wake fraction of `{found.target}` is that of the file plus {estimate(found, 'fraction')}"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Propellers):
@@ -224,6 +279,7 @@ class CrossFlowDrag(ActuatorEffect):
     """
 
     name = "cross_flow_drag"
+    titled = "drag across the flow"
     units = {"coefficient": "1"}
     confused_with = ("quadratic_damping:sway", "quadratic_damping:yaw", "hull_lift")
     shown_by = "turns and sideways motion at low speed"
@@ -232,14 +288,15 @@ class CrossFlowDrag(ActuatorEffect):
     coefficient: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         there = all_of(craft, CrossFlow) is not None and free(craft, "sway", "yaw")
-        return (Suspect(cls, None, {"coefficient": (0,)}),) if there else ()
+        return whole(cls, cls.units if there else ())
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        change = estimate(found, "coefficient")
+        return f"the hull's drag coefficient across the flow is that of the file plus {change}"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, CrossFlow):
@@ -256,6 +313,7 @@ class Voltage(ActuatorEffect):
     """
 
     name = "voltage"
+    titled = "thrust by the battery's voltage"
     units = {"exponent": "1"}
     plausible = {"exponent": (-1.0, 4.0)}
     confused_with = ("thruster_gain:all", "thrust_curve", "quadratic_damping:surge")
@@ -265,13 +323,17 @@ class Voltage(ActuatorEffect):
     exponent: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, () if all_of(craft, Supply) is None else cls.units)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return () if all_of(craft, Supply) is None else (Suspect(cls, None, {"exponent": (0,)}),)
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        share = number(100.0 * 0.9 ** value_of(found, "exponent"), 2)
+        return (
+            f"thrust goes with the battery's voltage: at nine tenths of it there is {share} % as much (power "
+            f"{estimate(found, 'exponent')} more than the file's)"
+        )
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Supply):
@@ -286,6 +348,7 @@ class WindLoad(ActuatorEffect):
     """
 
     name = "wind"
+    titled = "load of the wind"
     units = {"surge": "1", "sway": "1", "yaw": "1"}
     confused_with = ("constant_wrench", "steady_current")
     shown_by = "several headings in the wind"
@@ -296,16 +359,13 @@ class WindLoad(ActuatorEffect):
     yaw: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, [dof for dof in cls.units if dof in craft.dof and all_of(craft, Wind) is not None])
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        if all_of(craft, Wind) is None:
-            return ()
-        slots = {dof: (i,) for i, dof in enumerate(cls.units) if dof in craft.dof}
-        return (Suspect(cls, None, slots),) if slots else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"the wind pushes otherwise than the file says (first harmonics plus {listed(found)})"
 
     def changed(self, actuators: AbstractActuators) -> AbstractActuators:
         if not isinstance(actuators, Wind):

@@ -2,13 +2,15 @@
 
 An effect is one physical cause. It belongs to one stage of the vehicle, is an Equinox module whose
 array fields are its parameters, and has a neutral value at which it changes nothing. A new effect is
-one class: derive from the stage's interface, name it, say its parameters' units, its neutral value
-and its suspects. The classical terms of a vehicle file and learned networks enter the same way.
+one class: derive from the stage's interface, name it, say its parameters' units, its suspects, its
+neutral value where that is not zero, and what it means in words. The classical
+terms of a vehicle file and learned networks enter the same way.
 """
 
 import abc
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar, Protocol, Self
 
@@ -19,9 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numbers import number
 from .._types import DOFS, Matrix3, Scalar, Vector3, Velocity, Wrench
 from ..actuators import AbstractActuators
 from ..physics import Drive, Load
+from ._words import Found, listed, more, size, value_of
 
 
 class Craft(Protocol):
@@ -35,6 +39,15 @@ class Craft(Protocol):
     def drive_names(self) -> tuple[str, ...]: ...
     @property
     def actuators(self) -> tuple[AbstractActuators, ...]: ...
+
+
+class Filed(Craft, Protocol):
+    """A vehicle with the numbers of its file, beside which a finding is told."""
+
+    @property
+    def density(self) -> Scalar: ...
+    @property
+    def gravity(self) -> Scalar: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,22 +80,42 @@ class AbstractEffect(eqx.Module):
 
     name: ClassVar[str]
     units: ClassVar[Mapping[str, str]]
+    titled: ClassVar[str] = ""  # its name in a reader's words, where they are others
+    brakes_by: ClassVar[str] = ""  # the parameter that is damping of the target's axis beside the file's
+    filed: ClassVar[str] = ""  # the matrix of the vehicle whose entry it changes, such as `damping.linear`
     confused_with: ClassVar[tuple[str, ...]] = ()
     shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best
     advice: ClassVar[str] = ""  # what to look at on the boat
     plausible: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # range of a parameter
     phases: ClassVar[tuple[str, ...]] = ()  # angles [rad] of the log's own clock, others in another log
+    swings: ClassVar[bool] = False  # a sine of time, whose start a spectrum of the missing force gives
     amplitudes: ClassVar[tuple[str, ...]] = ()  # change sign where a phase goes on by half a turn
 
     @classmethod
-    @abc.abstractmethod
     def neutral(cls, craft: Craft) -> Self:
-        """The effect at the value at which it changes nothing."""
+        """The effect where it changes nothing: each of its numbers zero, unless the effect says otherwise."""
+        del craft
+        return cls(*(scalar() for _ in dataclasses.fields(cls)))
 
     @classmethod
     @abc.abstractmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         """The accusations that this effect can make on that vehicle."""
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        """What it accuses, in a few words; without a target, what it can accuse on any."""
+        words = cls.titled or cls.name.replace("_", " ")
+        return words if target is None else f"{words} in {target}"
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        """What was found, as the body of a sentence with its numbers.
+
+        - `craft`: the vehicle of the file.
+        """
+        del craft
+        return f"{cls.title(found.target)} ({listed(found)})"
 
     def parameters(self) -> dict[str, Any]:
         """The fields by name."""
@@ -185,6 +218,52 @@ def free(craft: Craft, *dofs: str) -> bool:
     return any(dof in craft.dof for dof in dofs)
 
 
-def per_dof(effect: type[AbstractEffect], craft: Craft) -> tuple[Suspect, ...]:
-    """One suspect per free degree of freedom, for an effect with a field `value` of six."""
-    return tuple(Suspect(effect, dof, {"value": (i,)}) for i, dof in enumerate(DOFS) if dof in craft.dof)
+def whole(
+    effect: type[AbstractEffect], names: Iterable[str], *starts: Mapping[str, float]
+) -> tuple[Suspect, ...]:
+    """The suspect of an effect without targets, by those of its parameters that can show; none without."""
+    fields = [field.name for field in dataclasses.fields(effect)]
+    slots = {name: (fields.index(name),) for name in names}
+    return (Suspect(effect, None, slots, starts),) if slots else ()
+
+
+def each(
+    effect: type[AbstractEffect], names: Iterable[str], *starts: Mapping[str, float]
+) -> tuple[Suspect, ...]:
+    """A suspect for each of these targets, of an effect with one parameter that has an entry for each."""
+    (parameter,) = effect.units
+    return tuple(Suspect(effect, name, {parameter: (i,)}, starts) for i, name in enumerate(names))
+
+
+def each_and_all(effect: type[AbstractEffect], names: Sequence[str]) -> tuple[Suspect, ...]:
+    """Those of `each`, and, where they are several, all of them by one number."""
+    (parameter,) = effect.units
+    together = Suspect(effect, "all", {parameter: tuple(range(len(names)))})
+    return (*each(effect, names), together) if len(names) > 1 else each(effect, names)
+
+
+class OnEachAxis(AbstractEffect):
+    """An effect with one number on each degree of freedom, zero where it changes nothing."""
+
+    value: Float[Array, "6"]
+
+    @classmethod
+    def neutral(cls, craft: Craft) -> Self:
+        del craft
+        return cls(zeros(6))
+
+    @classmethod
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return tuple(suspect for suspect in each(cls, DOFS) if suspect.target in craft.dof)
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        if not cls.filed:
+            return super().said(found, craft)
+        i, change = DOFS.index(str(found.target)), value_of(found, "value")
+        file = float(np.asarray(attrgetter(cls.filed)(craft))[i, i])
+        beside = f"(file {number(file)}, now {number(file + change)})"
+        return (
+            f"the vehicle has {size(found, 'value')} {more(change)} {cls.title(found.target)} than the file "
+            f"says {beside}"
+        )

@@ -7,41 +7,60 @@ deadband, saturation, curve, gain, lag, inflow, whatever the order in which they
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Self
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numbers import percent
 from .._types import Scalar
 from ..actuators import AbstractActuators, Propellers
 from ..physics import Drive
 from ._actuator import names_of
-from ._base import AbstractEffect, ActuatorEffect, Craft, DriveEffect, Suspect, scalar
+from ._base import (
+    AbstractEffect,
+    ActuatorEffect,
+    Craft,
+    DriveEffect,
+    Filed,
+    Suspect,
+    each_and_all,
+    scalar,
+    whole,
+)
+from ._words import Found, estimate, value_of
 
 # A limit of commands that none reaches.
 _NO_LIMIT = 10.0
 
 
-def _one(cls, craft: Craft, name: str, *starts: float) -> tuple[Suspect, ...]:
-    """The single suspect of an effect with one number for all thrusters."""
-    return _alone(cls, name, *starts) if craft.thruster_names else ()
-
-
-def _alone(cls, name: str, *starts: float) -> tuple[Suspect, ...]:
-    return (Suspect(cls, None, {name: (0,)}, tuple({name: start} for start in starts)),)
-
-
-def _each_and_all(cls, names: tuple[str, ...]) -> tuple[Suspect, ...]:
-    """The suspects of an effect with a factor for each of them: each by itself, and all by one factor."""
-    each = tuple(Suspect(cls, name, {"factor": (i,)}) for i, name in enumerate(names))
-    together = Suspect(cls, "all", {"factor": tuple(range(len(names)))})
-    return (*each, together) if len(names) > 1 else each
+def _one(cls, names: tuple[str, ...], *starts: float) -> tuple[Suspect, ...]:
+    """The single suspect of an effect with one number for all that bear these names; none without them."""
+    (parameter,) = cls.units
+    return whole(cls, cls.units if names else (), *({parameter: start} for start in starts))
 
 
 def _that_push(craft: Craft) -> tuple[str, ...]:
     """The thrusters and, behind them, the propellers."""
     return *craft.thruster_names, *names_of(craft, Propellers)
+
+
+def _thrust_of(target: str | None) -> str:
+    if target is None:
+        return "thrust of each thruster"
+    return f"thrust of {'all thrusters' if target == 'all' else f'`{target}`'}"
+
+
+def _factor_of_thrust(found: Found) -> str:
+    factor = found.parameters["factor"]
+    who = "all thrusters give" if found.target == "all" else f"thruster `{found.target}` gives"
+    text = f"{who} {estimate(found, 'factor')} times the thrust of the file"
+    slack = 2 * factor.std if math.isfinite(factor.std) else 0.0
+    if abs(factor.value) < 0.05 + slack:
+        return f"{text}: commands are practically not acted on"
+    return f"{text}: it pushes the wrong way" if factor.value < 0 else text
 
 
 class ExchangedThrusters(AbstractEffect):
@@ -52,20 +71,22 @@ class ExchangedThrusters(AbstractEffect):
     """
 
     name = "exchanged_thrusters"
+    titled = "exchanged columns of commands"
     units = {}
     confused_with = ("thruster_gain", "coupled_damping")
     shown_by = "each thruster driven by itself"
     advice = "look at the wiring and the output map of the autopilot, or rename the two columns of the log"
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls()
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         pairs = itertools.combinations(craft.thruster_names, 2)
         return tuple(Suspect(cls, f"{a}+{b}", {}) for a, b in pairs)
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        first, _, second = str(found.target).partition("+")
+        return f"the columns of `{first}` and `{second}` are exchanged: each holds the other's command"
 
     @staticmethod
     def columns_of(target: str, names: Sequence[str]) -> list[int]:
@@ -84,6 +105,7 @@ class InputDelay(DriveEffect, ActuatorEffect):
     """
 
     name = "input_delay"
+    titled = "delay of the commands"
     units = {"delay": "s"}
     confused_with = ("thruster_lag",)
     shown_by = "abrupt changes of command, logged at 10 Hz or faster"
@@ -92,13 +114,13 @@ class InputDelay(DriveEffect, ActuatorEffect):
     delay: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft.drive_names, 0.3)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _alone(cls, "delay", 0.3) if craft.drive_names else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"every command acts {estimate(found, 'delay')} late"
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, delay=drive.delay + self.delay)
@@ -114,6 +136,7 @@ class Deadband(DriveEffect):
     """
 
     name = "deadband"
+    titled = "dead band of the thrusters"
     units = {"width": "1"}
     plausible = {"width": (-1.0, 0.5)}
     confused_with = ("thrust_curve", "thruster_gain")
@@ -123,15 +146,16 @@ class Deadband(DriveEffect):
     width: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         # The slope at none is that of commands beyond any width: a craft that lies still at a trim within it
         # would be pushed the other way.
-        return _one(cls, craft, "width", 0.05, 0.15)
+        return _one(cls, craft.thruster_names, 0.05, 0.15)
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        width = estimate(found, "width", 100.0, "%")
+        return f"commands smaller than {width} of full command do nothing, and larger ones lose as much"
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, deadband=drive.deadband + self.width)
@@ -144,6 +168,7 @@ class Saturation(DriveEffect):
     """
 
     name = "saturation"
+    titled = "saturation of the thrusters"
     units = {"limit": "1"}
     confused_with = ("thrust_curve", "thruster_gain")
     shown_by = "full commands beside half ones"
@@ -158,7 +183,12 @@ class Saturation(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "limit", 0.8, 0.5, 0.3, 0.2)
+        return _one(cls, craft.thruster_names, 0.8, 0.5, 0.3, 0.2)
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"commands beyond {estimate(found, 'limit', 100.0, '%')} of full command bring no more thrust"
 
     def __call__(self, drive: Drive) -> Drive:
         clipped = jnp.minimum(drive.saturation, self.limit)
@@ -173,6 +203,7 @@ class ThrustCurve(DriveEffect):
     """
 
     name = "thrust_curve"
+    titled = "shape of the thrust curve"
     units = {"quadratic": "1"}
     confused_with = ("deadband", "saturation", "thruster_gain:all")
     shown_by = "small and large commands in equal parts"
@@ -181,13 +212,17 @@ class ThrustCurve(DriveEffect):
     quadratic: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft.thruster_names)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "quadratic")
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        half = percent(1.0 - value_of(found, "quadratic") / 2)
+        return (
+            f"thrust is not proportional to the command: at half command there is {half} of the file's "
+            f"thrust, at full command all of it (quadratic part {estimate(found, 'quadratic')})"
+        )
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, quadratic=drive.quadratic + self.quadratic)
@@ -213,7 +248,16 @@ class ThrusterGain(DriveEffect, ActuatorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, _that_push(craft))
+        return each_and_all(cls, _that_push(craft))
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return _thrust_of(target)
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return _factor_of_thrust(found)
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, gain=drive.gain * self.factor[: drive.gain.shape[-1]])
@@ -245,7 +289,16 @@ class ReverseThrust(DriveEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _each_and_all(cls, craft.thruster_names)
+        return each_and_all(cls, craft.thruster_names)
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return f"{_thrust_of(target)} astern"
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"at negative commands {_factor_of_thrust(found)}"
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, max_thrust_reverse=drive.max_thrust_reverse * self.factor)
@@ -258,6 +311,7 @@ class ThrusterLag(DriveEffect, ActuatorEffect):
     """
 
     name = "thruster_lag"
+    titled = "lag of the thrusters"
     units = {"time_constant": "s"}
     confused_with = ("input_delay",)
     shown_by = "abrupt changes of command, logged at 10 Hz or faster"
@@ -266,13 +320,15 @@ class ThrusterLag(DriveEffect, ActuatorEffect):
     time_constant: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, _that_push(craft), 0.15, 0.6)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _alone(cls, "time_constant", 0.15, 0.6) if _that_push(craft) else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return (
+            f"thrust follows the command with a lag of {estimate(found, 'time_constant')} (the time to 63 %)"
+        )
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, lag=drive.lag + self.time_constant)
@@ -290,6 +346,7 @@ class InflowLoss(DriveEffect):
     """
 
     name = "inflow_loss"
+    titled = "thrust lost to the inflow"
     units = {"per_speed": "s/m"}
     plausible = {"per_speed": (0.0, 5.0)}
     confused_with = ("tether_drag", "quadratic_damping", "thruster_gain:all")
@@ -299,13 +356,14 @@ class InflowLoss(DriveEffect):
     per_speed: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return _one(cls, craft.thruster_names)
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return _one(cls, craft, "per_speed")
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        loss = estimate(found, "per_speed", 100.0, "%")
+        return f"the thrusters lose {loss} of their thrust per m/s of speed along them"
 
     def __call__(self, drive: Drive) -> Drive:
         return dataclasses.replace(drive, inflow=drive.inflow + self.per_speed)

@@ -7,30 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numbers import number
 from .._types import DOFS, Scalar
 from ..physics import Load, rigid_body_matrix, skew
-from ._base import Craft, LoadEffect, Suspect, free, per_dof, scalar, zeros
+from ._base import Craft, Filed, LoadEffect, OnEachAxis, Suspect, each, free, whole, zeros
+from ._words import FROM_ORIGIN, SHIFTED, Found, estimate, more, place_of, size, value_of
 
 
-class AddedMass(LoadEffect):
+class AddedMass(OnEachAxis, LoadEffect):
     """More added mass on one axis, with its Coriolis terms. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "added_mass"
+    filed = "added_mass"
     units = {"value": "kg or kg m²"}
     confused_with = ("payload", "thruster_gain:all")
     shown_by = "strong accelerations along that axis"
     advice = "entrained water, fouling or a wrong coefficient: added mass of that axis"
-
-    value: Float[Array, "6"]
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(zeros(6))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return per_dof(cls, craft)
 
     def __call__(self, load: Load) -> Load:
         return dataclasses.replace(load, added=load.added + jnp.diag(self.value))
@@ -58,6 +50,7 @@ class CoupledAddedMass(LoadEffect):
     """
 
     name = "coupled_added_mass"
+    filed = "added_mass"
     units = {"value": "kg, kg m or kg m²"}
     confused_with = ("payload", "coupled_damping", "velocity_lever_arm")
     shown_by = "strong accelerations along one axis while the other is free"
@@ -72,10 +65,22 @@ class CoupledAddedMass(LoadEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return tuple(
-            Suspect(cls, "+".join(pair), {"value": (i,)})
-            for i, pair in enumerate(_PAIRS)
-            if {*pair} <= {*craft.dof}
+        joined = each(cls, ["+".join(pair) for pair in _PAIRS])
+        return tuple(s for s, pair in zip(joined, _PAIRS, strict=True) if {*pair} <= {*craft.dof})
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return (
+            super().title(target) if target is None else f"added mass between {target.replace('+', ' and ')}"
+        )
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        one, _, other = str(found.target).partition("+")
+        return (
+            f"the water couples {one} and {other} otherwise than the file says: {size(found, 'value')} "
+            f"{more(value_of(found, 'value'))} added mass between them"
         )
 
     def __call__(self, load: Load) -> Load:
@@ -103,21 +108,25 @@ class Payload(LoadEffect):
     z: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(*(scalar() for _ in range(5)))
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         names = ["mass", "x", "y"]
         if free(craft, "heave", "roll", "pitch"):
             names = ["mass", "volume", "x", "y", "z"]
-        slots = {name: (list(cls.units).index(name),) for name in names}
         # Without a mass its place has no slope. Neutrally buoyant, or the weight would hide the place.
         body = {"mass": 1.0, "volume": 1e-3}
         starts = ({**body, "x": 0.3}, {**body, "x": -0.3}, {**body, "y": 0.2}, {**body, "y": -0.2})
-        filled = tuple({name: start.get(name, 0.0) for name in names} for start in starts)
-        return (Suspect(cls, None, slots, filled),)
+        return whole(cls, names, *({name: start.get(name, 0.0) for name in names} for start in starts))
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        there = value_of(found, "mass") >= 0
+        text = f"{'a body of' if there else 'the vehicle lacks a body of'} {size(found, 'mass')}"
+        if "volume" in found.parameters:
+            displaced = float(craft.density) * value_of(found, "volume")
+            in_water = number((value_of(found, "mass") - displaced) * float(craft.gravity), 2)
+            litres = estimate(found, "volume", 1000.0, "litres")
+            text += f" and {litres}, which weighs {in_water} N in water,"
+        return f"{text} {'sits' if there else 'at a place'} {place_of(found, FROM_ORIGIN)} the body origin"
 
     def __call__(self, load: Load) -> Load:
         place = jnp.stack([self.x, self.y, self.z])
@@ -150,13 +159,17 @@ class Buoyancy(LoadEffect):
     force: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, cls.units if free(craft, "heave") else ())
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return (Suspect(cls, None, {"force": (0,)}),) if free(craft, "heave") else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        force = value_of(found, "force")
+        kilograms = number(abs(force) / float(craft.gravity), 2)
+        return (
+            f"the vehicle has {size(found, 'force')} {more(force)} buoyancy than the file says: in water "
+            f"it is {kilograms} kg {'lighter' if force >= 0 else 'heavier'}"
+        )
 
     def __call__(self, load: Load) -> Load:
         # A vehicle without buoyancy has no centre of it; the force then acts at `o`.
@@ -175,6 +188,7 @@ class Trim(LoadEffect):
     """
 
     name = "trim"
+    titled = "shifted centre of buoyancy"
     units = {"x": "m", "y": "m", "z": "m"}
     confused_with = ("payload", "constant_wrench:roll", "constant_wrench:pitch")
     shown_by = "rest, and roll and pitch of some tens of degrees"
@@ -185,16 +199,15 @@ class Trim(LoadEffect):
     z: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         roll, pitch = free(craft, "roll"), free(craft, "pitch")
         wanted = {"x": pitch, "y": roll, "z": roll or pitch}
-        slots = {name: (i,) for i, name in enumerate("xyz") if wanted[name]}
-        return (Suspect(cls, None, slots),) if slots else ()
+        return whole(cls, [name for name in "xyz" if wanted[name]])
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"the centre of buoyancy lies {place_of(found, SHIFTED)} than the file says"
 
     def __call__(self, load: Load) -> Load:
         shift = jnp.stack([self.x, self.y, self.z])

@@ -5,14 +5,29 @@ Each touches only the channels that it names; logged accelerations stay true and
 """
 
 import dataclasses
+import math
 from typing import Self
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._numbers import percent, plus_minus
 from .._types import Matrix3, Scalar
 from ..physics import LATE, apply
-from ._base import AbstractEffect, Craft, Readings, SensorEffect, Suspect, free, scalar, zeros
+from ._base import (
+    AbstractEffect,
+    Craft,
+    Filed,
+    Readings,
+    SensorEffect,
+    Suspect,
+    each,
+    free,
+    scalar,
+    whole,
+    zeros,
+)
+from ._words import FROM_ORIGIN, Found, degrees, estimate, place_of, value_of
 
 
 def _with_velocity(readings: Readings, velocity) -> Readings:
@@ -23,6 +38,7 @@ class VelocityLeverArm(SensorEffect):
     """The velocity is that of the point (x, y, z): v + w x r. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "velocity_lever_arm"
+    titled = "place of the velocity sensor"
     units = {"x": "m", "y": "m", "z": "m"}
     confused_with = ("coupled_damping", "velocity_misalignment")
     shown_by = "turns on the spot about each axis"
@@ -33,11 +49,6 @@ class VelocityLeverArm(SensorEffect):
     z: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         roll, pitch, yaw = (free(craft, dof) for dof in ("roll", "pitch", "yaw"))
         u, v, w = (free(craft, dof) for dof in ("surge", "sway", "heave"))
@@ -46,8 +57,13 @@ class VelocityLeverArm(SensorEffect):
             "y": (u and yaw) or (w and roll),
             "z": (u and pitch) or (v and roll),
         }
-        slots = {name: (i,) for i, name in enumerate("xyz") if wanted[name]}
-        return (Suspect(cls, None, slots),) if slots else ()
+        return whole(cls, [name for name in "xyz" if wanted[name]])
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        place = place_of(found, FROM_ORIGIN)
+        return f"the logged velocity is that of a point {place} the body origin, not of the origin"
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         del rotation
@@ -62,6 +78,7 @@ class VelocityMisalignment(SensorEffect):
     """
 
     name = "velocity_misalignment"
+    titled = "misaligned velocity sensor"
     units = {"yaw": "rad"}
     confused_with = ("velocity_in_earth_axes",)
     shown_by = "straight runs with position measured"
@@ -70,14 +87,19 @@ class VelocityMisalignment(SensorEffect):
     yaw: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, cls.units if {"surge", "sway"} <= {*craft.dof} else ())
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        both = "surge" in craft.dof and "sway" in craft.dof
-        return (Suspect(cls, None, {"yaw": (0,)}),) if both else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        yaw = found.parameters["yaw"]
+        angle = plus_minus(math.degrees(abs(yaw.value)), math.degrees(yaw.std))
+        logged, sensor = ("starboard", "port") if yaw.value >= 0 else ("port", "starboard")
+        return (
+            f"the logged velocity is turned by {angle}° to {logged}: the velocity sensor sits turned "
+            f"by as much to {sensor}"
+        )
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         del rotation
@@ -93,6 +115,7 @@ class VelocityScale(SensorEffect):
     """
 
     name = "velocity_scale"
+    titled = "scale of the velocity sensor"
     units = {"factor": "1"}
     confused_with = ("thruster_gain:all", "quadratic_damping")
     shown_by = "straight runs with position measured"
@@ -107,8 +130,14 @@ class VelocityScale(SensorEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        moving = free(craft, "surge", "sway", "heave")
-        return (Suspect(cls, None, {"factor": (0,)}),) if moving else ()
+        return whole(cls, cls.units if free(craft, "surge", "sway", "heave") else ())
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        factor = value_of(found, "factor")
+        wrong = f"{percent(abs(factor - 1))} too {'large' if factor >= 1 else 'small'}"
+        return f"the logged velocity is {estimate(found, 'factor')} times the true one: {wrong}"
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         del rotation
@@ -122,6 +151,7 @@ class VelocityInEarthAxes(SensorEffect):
     """
 
     name = "velocity_in_earth_axes"
+    titled = "velocity logged in earth axes"
     units = {"fraction": "1"}
     confused_with = ("velocity_misalignment",)
     shown_by = "runs on several headings"
@@ -130,15 +160,21 @@ class VelocityInEarthAxes(SensorEffect):
     fraction: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         moving = free(craft, "surge", "sway") and free(craft, "yaw", "roll", "pitch")
         # Fully in earth axes is the common mistake, and far from neutral: a start of its own.
-        return (Suspect(cls, None, {"fraction": (0,)}, ({"fraction": 1.0},)),) if moving else ()
+        return whole(cls, cls.units if moving else (), {"fraction": 1.0})
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        if value_of(found, "fraction") > 0.9:
+            return (
+                "the logged velocity is in earth axes (north, east, down) instead of body axes "
+                f"(fraction {estimate(found, 'fraction')})"
+            )
+        part = estimate(found, "fraction", 100.0, "%")
+        return f"{part} of the logged velocity is in earth axes (north, east, down), the rest in body axes"
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         body = readings.nu[:3]
@@ -149,6 +185,7 @@ class GyroBias(SensorEffect):
     """Logged rates are the true ones plus a constant. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "gyro_bias"
+    titled = "bias of the gyros"
     units = {"p": "rad/s", "q": "rad/s", "r": "rad/s"}
     confused_with = ("constant_wrench",)
     shown_by = "rest, with attitude measured"
@@ -159,15 +196,15 @@ class GyroBias(SensorEffect):
     r: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         axes = zip("pqr", ("roll", "pitch", "yaw"), strict=True)
-        slots = {name: (i,) for i, (name, dof) in enumerate(axes) if dof in craft.dof}
-        return (Suspect(cls, None, slots),) if slots else ()
+        return whole(cls, [name for name, dof in axes if dof in craft.dof])
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        rates = ", ".join(f"{name} {degrees(found, name, ' °/s')}" for name in found.parameters)
+        return f"the logged turning rates are the true ones plus a constant ({rates})"
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         del rotation
@@ -183,6 +220,7 @@ class CompassDeviation(SensorEffect):
     """
 
     name = "compass_deviation"
+    titled = "deviation of the compass"
     units = {"constant": "rad", "cos": "rad", "sin": "rad"}
     confused_with = ("velocity_misalignment", "gyro_bias")
     shown_by = "straight runs on several headings, with position and velocity measured"
@@ -193,14 +231,15 @@ class CompassDeviation(SensorEffect):
     sin: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, cls.units if free(craft, "yaw") else ())
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        slots = {"constant": (0,), "cos": (1,), "sin": (2,)}
-        return (Suspect(cls, None, slots),) if free(craft, "yaw") else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        times = {"constant": "", "cos": " cos(psi)", "sin": " sin(psi)"}
+        parts = [f"{degrees(found, name)}{by}" for name, by in times.items()]
+        return f"the logged heading is the true one plus {' + '.join(parts)}"
 
     def __call__(self, readings: Readings, rotation: Matrix3) -> Readings:
         del rotation
@@ -235,4 +274,13 @@ class SensorDelay(AbstractEffect):
         moves = free(craft, "surge", "sway", "heave")
         turns = free(craft, "roll", "pitch", "yaw")
         there = {"position": moves, "attitude": turns, "velocity": moves, "rate": turns}
-        return tuple(Suspect(cls, kind, {"delay": (i,)}) for i, kind in enumerate(LATE) if there[kind])
+        return tuple(suspect for suspect in each(cls, LATE) if there[str(suspect.target)])
+
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return super().title(target) if target is None else f"late {target}"
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"the logged {found.target} comes {estimate(found, 'delay')} late"

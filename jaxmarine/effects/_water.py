@@ -1,11 +1,10 @@
 """Stage water: how the water itself moves."""
 
-from typing import Self
-
 import jax.numpy as jnp
 
 from .._types import Scalar, Vector3
-from ._base import Craft, Suspect, WaterEffect, free, scalar
+from ._base import Craft, Filed, Suspect, WaterEffect, free, whole
+from ._words import Found, listed, polar
 
 
 class SteadyCurrent(WaterEffect):
@@ -26,16 +25,15 @@ class SteadyCurrent(WaterEffect):
     down: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        names = ("north", "east", "down") if free(craft, "heave") else ("north", "east")
+        return whole(cls, names if free(craft, "surge", "sway") else ())
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        slots = {"north": (0,), "east": (1,)}
-        if free(craft, "heave"):
-            slots["down"] = (2,)
-        return (Suspect(cls, None, slots),) if free(craft, "surge", "sway") else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        speed, towards = polar(found)
+        return f"the water moves {speed} m/s towards {towards}° ({listed(found)})"
 
     def __call__(self) -> Vector3:
         return jnp.stack([self.north, self.east, self.down])

@@ -6,14 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._numbers import number
 from .._types import DOFS, Matrix6, Scalar, Wrench
 from ..actuators import Wind
 from ..physics import apply, norm
 from ._actuator import all_of
-from ._base import Craft, Motion, Suspect, WrenchEffect, free, per_dof, scalar, zeros
+from ._base import Craft, Filed, Motion, OnEachAxis, Suspect, WrenchEffect, free, scalar, whole, zeros
+from ._words import PUSHES, Found, estimate, listed, polar, push, size, value_of
 
 
-class ConstantWrench(WrenchEffect):
+class ConstantWrench(OnEachAxis, WrenchEffect):
     """A constant force or moment in body axes. Neutral: 0. Source: bias forces, after Fossen (2021)."""
 
     name = "constant_wrench"
@@ -22,65 +24,45 @@ class ConstantWrench(WrenchEffect):
     shown_by = "rest, and roll, pitch and heading changed widely"
     advice = "a steady push in body axes: a thruster that never stops, a bent fin, a cable under tension"
 
-    value: Float[Array, "6"]
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        return "constant force" if target is None else f"constant {push(target)}"
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
+    def said(cls, found: Found, craft: Filed) -> str:
         del craft
-        return cls(zeros(6))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return per_dof(cls, craft)
+        target = str(found.target)
+        kind, way = push(target).split()[0], PUSHES[target][value_of(found, "value") < 0]
+        return f"a constant {kind} of {size(found, 'value')} in {target} {way}"
 
     def __call__(self, motion: Motion) -> Wrench:
         del motion
         return self.value
 
 
-class LinearDamping(WrenchEffect):
+class LinearDamping(OnEachAxis, WrenchEffect):
     """More damping in proportion to the velocity of one axis. Neutral: 0. Source: thesis (5.24)."""
 
     name = "linear_damping"
+    filed = "damping.linear"
     units = {"value": "N s/m or N m s"}
     confused_with = ("quadratic_damping", "fluid_memory", "inflow_loss")
     shown_by = "slow and fast motion along that axis"
     advice = "more or less drag than the file says at low speed"
 
-    value: Float[Array, "6"]
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(zeros(6))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return per_dof(cls, craft)
-
     def __call__(self, motion: Motion) -> Wrench:
         return -self.value * motion.nu_r
 
 
-class QuadraticDamping(WrenchEffect):
+class QuadraticDamping(OnEachAxis, WrenchEffect):
     """More damping with the square of the velocity of one axis. Neutral: 0. Source: thesis (5.24)."""
 
     name = "quadratic_damping"
+    filed = "damping.quadratic"
     units = {"value": "N s²/m² or N m s²"}
     confused_with = ("linear_damping", "tether_drag", "inflow_loss")
     shown_by = "slow and fast motion along that axis"
     advice = "more or less drag than the file says at high speed: fouling, new parts in the flow"
-
-    value: Float[Array, "6"]
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(zeros(6))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return per_dof(cls, craft)
 
     def __call__(self, motion: Motion) -> Wrench:
         return -self.value * jnp.abs(motion.nu_r) * motion.nu_r
@@ -90,6 +72,7 @@ class CoupledDamping(WrenchEffect):
     """Linear damping on one axis from the velocity of another. Neutral: 0. Source: thesis (5.24)."""
 
     name = "coupled_damping"
+    filed = "damping.linear"
     units = {"value": "N s/m, N s or N m s"}
     confused_with = ("hull_lift", "velocity_lever_arm")
     shown_by = "each axis moved by itself"
@@ -111,6 +94,22 @@ class CoupledDamping(WrenchEffect):
             if i != j and DOFS[i] in craft.dof and DOFS[j] in craft.dof
         )
 
+    @classmethod
+    def title(cls, target: str | None) -> str:
+        if target is None:
+            return super().title(target)
+        pushed, _, moving = target.partition("<-")
+        return f"damping in {pushed} from motion in {moving}"
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        pushed, _, moving = str(found.target).partition("<-")
+        return (
+            f"motion in {moving} causes a {push(pushed)} that the file does not have "
+            f"(linear damping {estimate(found, 'value')})"
+        )
+
     def __call__(self, motion: Motion) -> Wrench:
         return -apply(self.value, motion.nu_r)
 
@@ -124,6 +123,7 @@ class HullLift(WrenchEffect):
     """
 
     name = "hull_lift"
+    titled = "lift of the hull"
     units = {"Y_uv": "N s²/m²", "N_uv": "N s²/m", "Z_uw": "N s²/m²", "M_uw": "N s²/m"}
     confused_with = ("coupled_damping", "added_mass")
     shown_by = "sway and heave at speed, turns"
@@ -135,11 +135,6 @@ class HullLift(WrenchEffect):
     M_uw: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar(), scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         if not free(craft, "surge"):
             return ()
@@ -149,12 +144,12 @@ class HullLift(WrenchEffect):
             "Z_uw": ("heave", "heave"),
             "M_uw": ("pitch", "heave"),
         }
-        slots = {
-            name: (i,)
-            for i, (name, (acted, moving)) in enumerate(pairs.items())
-            if acted in craft.dof and moving in craft.dof
-        }
-        return (Suspect(cls, None, slots),) if slots else ()
+        return whole(cls, [name for name, pair in pairs.items() if {*pair} <= {*craft.dof}])
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"at an angle to the flow the hull feels a lift that the file does not have ({listed(found)})"
 
     def __call__(self, motion: Motion) -> Wrench:
         u, v, w = motion.nu_r[:3]
@@ -172,6 +167,7 @@ class TurningLift(WrenchEffect):
     """
 
     name = "turning_lift"
+    titled = "lift of the hull in turns"
     units = {"Y_ur": "N s²", "N_ur": "N m s²"}
     confused_with = ("hull_lift", "coupled_damping", "linear_damping:yaw")
     shown_by = "turns at several speeds, ahead and astern"
@@ -181,15 +177,15 @@ class TurningLift(WrenchEffect):
     N_ur: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         if not (free(craft, "surge") and free(craft, "yaw")):
             return ()
-        return (Suspect(cls, None, {"Y_ur": (0,), "N_ur": (1,)} if free(craft, "sway") else {"N_ur": (1,)}),)
+        return whole(cls, ("Y_ur", "N_ur") if free(craft, "sway") else ("N_ur",))
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return f"in turns at speed the hull feels a lift that the file does not have ({listed(found)})"
 
     def __call__(self, motion: Motion) -> Wrench:
         u, r = motion.nu_r[0], motion.nu_r[5]
@@ -204,6 +200,7 @@ class TetherDrag(WrenchEffect):
     """
 
     name = "tether_drag"
+    titled = "drag of a cable"
     units = {"coefficient": "N s²/m²"}
     plausible = {"coefficient": (0.0, np.inf)}
     confused_with = ("quadratic_damping", "inflow_loss")
@@ -213,13 +210,17 @@ class TetherDrag(WrenchEffect):
     coefficient: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar())
+    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
+        return whole(cls, cls.units if free(craft, "surge", "sway", "heave") else ())
 
     @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        return (Suspect(cls, None, {"coefficient": (0,)}),) if free(craft, "surge", "sway", "heave") else ()
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        at_one = number(value_of(found, "coefficient"), 2)
+        return (
+            f"something towed, such as a cable, drags with {at_one} N at 1 m/s and with the square of "
+            f"the speed (coefficient {estimate(found, 'coefficient')})"
+        )
 
     def __call__(self, motion: Motion) -> Wrench:
         v_r = motion.nu_r[:3]
@@ -234,6 +235,7 @@ class WindPush(WrenchEffect):
     """
 
     name = "wind_push"
+    titled = "push of the wind"
     units = {"north": "N", "east": "N"}
     confused_with = ("steady_current", "constant_wrench")
     shown_by = "several headings, at rest and at speed"
@@ -243,16 +245,15 @@ class WindPush(WrenchEffect):
     east: Scalar
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(scalar(), scalar())
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         afloat = free(craft, "surge", "sway") and not free(craft, "heave")
-        if not afloat or all_of(craft, Wind) is not None:
-            return ()
-        return (Suspect(cls, None, {"north": (0,), "east": (1,)}),)
+        return whole(cls, cls.units if afloat and all_of(craft, Wind) is None else ())
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        force, towards = polar(found)
+        return f"a steady force of {force} N, as of the wind, pushes towards {towards}° ({listed(found)})"
 
     def __call__(self, motion: Motion) -> Wrench:
         force = jnp.stack([self.north, self.east, jnp.zeros_like(self.north)])
@@ -268,6 +269,7 @@ class Waves(WrenchEffect):
     name = "waves"
     units = {"north": "N", "east": "N", "period": "s", "phase": "rad"}
     plausible = {"period": (0.0, np.inf)}
+    swings = True
     phases = ("phase",)
     amplitudes = ("north", "east")
     confused_with = ("unknown",)
@@ -286,8 +288,17 @@ class Waves(WrenchEffect):
 
     @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        slots = {name: (i,) for i, name in enumerate(cls.units)}
-        return (Suspect(cls, None, slots),) if free(craft, "surge", "sway") else ()
+        return whole(cls, cls.units if free(craft, "surge", "sway") else ())
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        force, towards = polar(found)
+        along = towards % 180
+        return (
+            f"waves push the vehicle to and fro with up to {force} N along {along}°/{along + 180}°, "
+            f"once in {estimate(found, 'period')} ({listed(found, ('north', 'east', 'phase'))})"
+        )
 
     def __call__(self, motion: Motion) -> Wrench:
         swing = jnp.sin(2.0 * jnp.pi * motion.t / self.period + self.phase)
@@ -302,6 +313,7 @@ class FluidMemory(WrenchEffect):
     """
 
     name = "fluid_memory"
+    brakes_by = "gain"  # what comes late brakes as much in the end
     units = {"gain": "N s/m or N m s", "time_constant": "s"}
     # A shorter memory is damping and added mass, to all that a log shows: gain (nu_r - time_constant nu_r').
     plausible = {"time_constant": (0.2, np.inf)}
@@ -323,6 +335,14 @@ class FluidMemory(WrenchEffect):
             Suspect(cls, dof, {"gain": (i,), "time_constant": (6 + i,)})
             for i, dof in enumerate(DOFS)
             if dof in craft.dof
+        )
+
+    @classmethod
+    def said(cls, found: Found, craft: Filed) -> str:
+        del craft
+        return (
+            f"part of the damping in {found.target} comes late: {estimate(found, 'gain')}, building up over "
+            f"{estimate(found, 'time_constant')}"
         )
 
     def __call__(self, motion: Motion) -> Wrench:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..reports import Plot, number, percent, plus_minus, templates, title, unit_on
+from .._numbers import number, percent, plus_minus, unit_on
+from ..reports import Plot, templates, title
 from ._history import Rows, Series, by_craft, by_log, label_of, present, series_of
 from ._rows import Row
 from ._told import Notice, notices

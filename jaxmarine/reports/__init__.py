@@ -4,10 +4,6 @@ from .._extras import of_extra
 
 with of_extra("report", "A report"):
     from ._causes import title as title
-    from ._numbers import number as number
-    from ._numbers import percent as percent
-    from ._numbers import plus_minus as plus_minus
-    from ._numbers import unit_on as unit_on
     from ._page import templates as templates
     from ._svg import Plot as Plot
     from ._write import write_report as write_report

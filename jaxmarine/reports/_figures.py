@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 
+from .._numbers import count, joined, number, percent
 from .._types import CHANNELS
 from ..diagnosis import BANDS, Diagnosis, MissingWrench, Predictions
 from ._curves import (
@@ -30,7 +31,6 @@ from ._curves import (
     thinned,
     typical_starts,
 )
-from ._numbers import count, joined, number, percent
 from ._svg import Plot
 
 # Of a curve, which is about what a panel has pixels; of all logs together, of which one is seen at a time.

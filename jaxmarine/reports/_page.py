@@ -8,6 +8,7 @@ import jinja2
 import markupsafe
 import numpy as np
 
+from .._numbers import count, interval, joined, number, percent, plus_minus, unit_on
 from .._types import CHANNEL_UNITS, CHANNELS, DOFS, SENSORS
 from .._version import __version__
 from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
@@ -15,7 +16,7 @@ from ..fitting import AxisCheck, sparkline
 from ..fitting import percent as relative
 from ..logs import moment
 from . import _words as words
-from ._causes import kind, title, what
+from ._causes import title, what
 from ._curves import (
     CHANNEL_TITLES,
     GROUP_TITLES,
@@ -32,7 +33,6 @@ from ._figures import (
     missing_velocity_chart,
     trajectory_chart,
 )
-from ._numbers import count, interval, joined, number, percent, plus_minus, unit_on
 
 _SHOWN = 8  # suspects per round
 
@@ -94,9 +94,9 @@ def page(diagnosis: Diagnosis) -> str:
             checked=_checked(diagnosis),
             charts=charts,
             rounds=_rounds(diagnosis),
-            parameters=[row for finding in diagnosis.findings for row in _parameters(finding)],
+            parameters=[row for finding in diagnosis.findings for row in _parameters(finding, diagnosis)],
             groups=[
-                (joined([title(label) for label in group]), diagnosis.causes_of(group))
+                (joined([title(label, diagnosis.catalogue) for label in group]), diagnosis.causes_of(group))
                 for group in diagnosis.groups
             ],
             recalibrated=[_recalibrated(entry) for entry in diagnosis.recalibrated],
@@ -107,7 +107,7 @@ def page(diagnosis: Diagnosis) -> str:
             per_log=_per_log(diagnosis),
             warnings=diagnosis.warnings,
             notes=[note for note in diagnosis.notes if note not in diagnosis.warnings],
-            dropped=[(title(one.label), one.reason) for one in diagnosis.dropped],
+            dropped=[(title(one.label, diagnosis.catalogue), one.reason) for one in diagnosis.dropped],
             horizon=number(diagnosis.gain.horizon),
             told=[_told(axis) for axis in diagnosis.check.axes],
             done=_done(diagnosis),
@@ -177,14 +177,14 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
     if not finding.named:
         other = ""
     elif rivals:
-        names = joined([title(label) for label in rivals], "or")
+        names = joined([title(label, diagnosis.catalogue) for label in rivals], "or")
         other = f"These logs cannot tell it from: {names}."
     else:
         other = "Nothing else that was weighed explains these logs as well."
-        other = f"{other} {words.next_best(finding)}".strip()
+        other = f"{other} {words.next_best(finding, diagnosis.catalogue)}".strip()
     return Card(
-        heading=title(finding.label),
-        what=what(finding, diagnosis.vehicle, diagnosis.clock_of(finding)),
+        heading=title(finding.label, diagnosis.catalogue),
+        what=what(finding, diagnosis.vehicle, diagnosis.clock_of(finding), diagnosis.catalogue),
         advice=words.advice(finding, diagnosis.catalogue),
         sure=words.sureness(
             finding.log_evidence,
@@ -200,7 +200,7 @@ def _card(finding: Finding, diagnosis: Diagnosis) -> Card:
 def _checked(diagnosis: Diagnosis) -> str:
     """Which causes were weighed, for a reader who wonders what was looked for."""
     labels = {suspect.label.partition(":")[0] for round_ in diagnosis.rounds for suspect in round_}
-    return joined(sorted(kind(label) for label in labels))
+    return joined(sorted(title(label, diagnosis.catalogue) for label in labels))
 
 
 def _rounds(diagnosis: Diagnosis) -> list[tuple[int, int, list[Row]]]:
@@ -228,7 +228,7 @@ def _row(suspect: Weighed, taken: Weighed | None, dropped: bool, largest: float,
     if suspect.since is not None:
         begins = f", since {moment(suspect.since, diagnosis.clock_of(suspect), '.3g')}"
     return Row(
-        title=title(suspect.label) + begins,
+        title=title(suspect.label, diagnosis.catalogue) + begins,
         evidence=number(evidence),
         width=round(100 * min(max(part, 0.0), 1.0), 1),
         taken=suspect is taken,
@@ -237,11 +237,11 @@ def _row(suspect: Weighed, taken: Weighed | None, dropped: bool, largest: float,
     )
 
 
-def _parameters(finding: Finding) -> list[tuple[str, str, str, str, str]]:
+def _parameters(finding: Finding, diagnosis: Diagnosis) -> list[tuple[str, str, str, str, str]]:
     """Cause, parameter, value with standard error, 95 % interval, unit."""
     return [
         (
-            title(finding.label),
+            title(finding.label, diagnosis.catalogue),
             name,
             plus_minus(p.value, p.std),
             interval(p.value, p.std),

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from .._numbers import number
 from .._types import CHANNELS
 from ..diagnosis import Diagnosis, Weighed
 from ._causes import title
@@ -26,7 +27,6 @@ from ._curves import (
     telling_channel,
     typical_starts,
 )
-from ._numbers import number
 from ._words import VERY_STRONG
 
 _COLOURS = {"before": "#c2620a", "after": "#1f6fb5"}

@@ -7,17 +7,12 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from .._numbers import count, joined, number, percent, sentence, unit_on
 from ..diagnosis import Diagnosis, Finding
 from ..effects import CATALOGUE, AbstractEffect
-from ._causes import signal, title, what
-from ._numbers import count, joined, number, percent, sentence, unit_on
+from ._causes import effect_of, signal, title, what
 
 VERY_STRONG = 5.0  # log evidence, after Kass and Raftery (1995)
-
-
-def _effect(label: str, catalogue: Sequence[type[AbstractEffect]]) -> type[AbstractEffect] | None:
-    """The one of the catalogue that a label such as `thruster_gain:port` accuses."""
-    return next((effect for effect in catalogue if effect.name == label.partition(":")[0]), None)
 
 
 def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE) -> str:
@@ -42,7 +37,7 @@ def advice(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOG
             f"{look} Until its cause is known, the extended vehicle carries a term learned from "
             "the log: good for prediction, no explanation."
         )
-    effect = _effect(finding.label, catalogue)
+    effect = effect_of(finding.label, catalogue)
     return sentence(effect.advice) if effect is not None and effect.advice else ""
 
 
@@ -80,29 +75,31 @@ def deciding(labels: Sequence[str], catalogue: Sequence[type[AbstractEffect]] = 
     """Which manoeuvre shows which of these causes best; `catalogue` as in `advice`."""
     manoeuvres = dict[str, list[str]]()
     for label in labels:
-        effect = _effect(label, catalogue)
+        effect = effect_of(label, catalogue)
         if effect is not None and effect.shown_by:
-            manoeuvres.setdefault(effect.shown_by, []).append(title(label))
+            manoeuvres.setdefault(effect.shown_by, []).append(title(label, catalogue))
     if len(manoeuvres) == 1:
         return sentence(f"a log with {next(iter(manoeuvres))}")
     parts = [f"{manoeuvre} (shows {joined(names)})" for manoeuvre, names in manoeuvres.items()]
     return sentence(f"a log with {'; with '.join(parts)}") if parts else ""
 
 
-def next_best(finding: Finding) -> str:
+def next_best(finding: Finding, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE) -> str:
     """The strongest cause that the log could tell from the finding."""
     told_apart = [other for other in finding.alternatives if not other.indistinguishable]
     if not told_apart:
         return ""
     best = max(told_apart, key=lambda other: other.log_evidence)
-    return f"The next best, {title(best.label)}, has a log evidence of {number(best.log_evidence)}."
+    return (
+        f"The next best, {title(best.label, catalogue)}, has a log evidence of {number(best.log_evidence)}."
+    )
 
 
 def values(
     label: str, parameters: Mapping[str, float], catalogue: Sequence[type[AbstractEffect]] = CATALOGUE
 ) -> str:
     """`factor 0.71`: the numbers of a suspect with their units; `catalogue` as in `advice`."""
-    effect, target = _effect(label, catalogue), label.partition(":")[2]
+    effect, target = effect_of(label, catalogue), label.partition(":")[2]
     units = {} if effect is None else effect.units
     return ", ".join(
         f"{key} {number(value)} {unit_on(units.get(key, ''), target or None)}".rstrip()
@@ -134,8 +131,9 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unexplained":
         return sentence(unknown)
     if diagnosis.verdict == "explained" and len(named) == 1 and not diagnosis.far:
-        return what(_without_errors(named[0]), diagnosis.vehicle, diagnosis.clock_of(named[0]))
-    causes = joined([title(finding.label) for finding in named])
+        found, clock = _without_errors(named[0]), diagnosis.clock_of(named[0])
+        return what(found, diagnosis.vehicle, clock, diagnosis.catalogue)
+    causes = joined([title(finding.label, diagnosis.catalogue) for finding in named])
     if diagnosis.verdict == "explained" and diagnosis.far:
         return (
             f"What explains these logs best leaves much: {causes}. Check the axes, signs and units of logs "

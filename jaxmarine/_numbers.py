@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from .._types import DOFS
+from ._types import DOFS
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
