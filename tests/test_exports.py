@@ -5,6 +5,7 @@ import functools
 import importlib.util
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -255,12 +256,13 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path):
 
 
 def forgetful() -> Vehicle:
-    """`remembering` without memory and learned terms, more damped: what plain parameters can hold."""
+    """`remembering` without memory and learned terms, more damped and with added mass: what plain parameters can hold."""
     vehicle = remembering()
     current = vehicle.placed[1]
     more = Placed(LinearDamping(jnp.asarray([5.0, 4.0, 3.0, 0.2, 0.3, 0.4])))
     push = Placed(ConstantWrench(jnp.asarray([1.0, -2.0, 0.5, 0.1, 0.0, 0.2])))
-    return dataclasses.replace(vehicle, placed=(current, more, push))
+    water = Placed(CoupledAddedMass(jnp.asarray([0.0, 6.0, 0.0, 0.0, 9.0, 0.0])))
+    return dataclasses.replace(vehicle, placed=(current, more, push, water))
 
 
 @pytest.mark.parametrize("name", ["simple", pytest.param("forgetful", marks=pytest.mark.slow)])
@@ -289,6 +291,47 @@ def test_the_module_for_python_vehicle_simulator_moves_as_simulate(name, tmp_pat
             eta = eta + dt * moved
     # Euler's method at a millisecond.
     assert np.abs(np.array(places) - track).max() < 5e-3
+
+
+# Runge-Kutta's method at a hundredth of a second, with a command for every twentieth. It begins, as `simulate`
+# does, with the thrusts at rest that the first command asks for.
+_OCTAVE = """
+commands = dlmread('commands.csv'); x = dlmread('start.csv'); dt = 0.01; track = [];
+rates = {name}(x, commands(1, :)'); x(13:end) = {lag} * rates(13:end);
+for k = 1:rows(commands)
+    track(k, :) = [x(7:12); x(1:6)]';
+    for i = 1:5
+        a = {name}(x, commands(k, :)', 0, 0);
+        b = {name}(x + dt / 2 * a, commands(k, :)', 0, 0);
+        c = {name}(x + dt / 2 * b, commands(k, :)', 0, 0);
+        x = x + dt / 6 * (a + 2 * b + 2 * c + {name}(x + dt * c, commands(k, :)'));
+    end
+end
+dlmwrite('track.csv', track, 'precision', '%.12g');
+"""
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave, which runs it, is not installed")
+@pytest.mark.parametrize("name", ["forgetful", pytest.param("simple", marks=pytest.mark.slow)])
+def test_the_function_for_mss_moves_as_simulate(name, tmp_path):
+    vehicle, commands, start, track = driven(name)
+    notes = export(vehicle, tmp_path / "rov.m", "mss")
+    written = (tmp_path / "rov.m").read_text(encoding="utf-8")
+    assert all(note in written for note in notes)
+    lag = np.asarray(vehicle.plant().drive.lag)
+    np.savetxt(tmp_path / "commands.csv", commands, delimiter=",")
+    np.savetxt(tmp_path / "start.csv", [*start[6:], *start[:6], *np.zeros(np.sum(lag > 0))])
+    script = ["octave-cli", "--norc", "--quiet", "--eval", _OCTAVE.format(name="rov", lag=lag.max())]
+    subprocess.run(script, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    moved = np.loadtxt(tmp_path / "track.csv", delimiter=",")
+    # `simulate` takes five times longer steps, whose error this is.
+    assert np.abs(moved - track).max() < 2e-5
+
+
+def test_a_function_of_matlab_needs_a_name_that_can_be_called(tmp_path):
+    for name in ("my-rov.m", "2nd.m", "rov.txt"):
+        with pytest.raises(InputError, match="Matlab calls a function by its file"):
+            export(packaged("tethra"), tmp_path / name, "mss")
 
 
 def test_plain_parameters_say_what_they_lack(tmp_path):
