@@ -256,7 +256,7 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path):
 
 
 def forgetful() -> Vehicle:
-    """`remembering` without memory and learned terms, more damped and with added mass: what plain parameters can hold."""
+    """`remembering` without memory and learned terms, with what plain parameters can hold beside."""
     vehicle = remembering()
     current = vehicle.placed[1]
     more = Placed(LinearDamping(jnp.asarray([5.0, 4.0, 3.0, 0.2, 0.3, 0.4])))
@@ -293,8 +293,8 @@ def test_the_module_for_python_vehicle_simulator_moves_as_simulate(name, tmp_pat
     assert np.abs(np.array(places) - track).max() < 5e-3
 
 
-# Runge-Kutta's method at a hundredth of a second, with a command for every twentieth. It begins, as `simulate`
-# does, with the thrusts at rest that the first command asks for.
+# Runge-Kutta's method at a hundredth of a second, with a command for every twentieth. It begins, as
+# `simulate` does, with the thrusts that the first command asks for.
 _OCTAVE = """
 commands = dlmread('commands.csv'); x = dlmread('start.csv'); dt = 0.01; track = [];
 rates = {name}(x, commands(1, :)'); x(13:end) = {lag} * rates(13:end);
