@@ -4,31 +4,25 @@ import contextlib
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 from statsmodels.stats.proportion import proportion_confint
 from threadpoolctl import threadpool_limits
 
 from jaxmarine._program import program as program
-from jaxmarine.effects import Craft, Suspect, WrenchEffect
+from jaxmarine.effects import Craft, Suspect, WrenchEffect, whole
 
 
 class ScalarEffect(WrenchEffect):
     """A wrench of scalar numbers that are zero where it changes nothing; one suspect has them all."""
 
     @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(**{name: jnp.zeros(()) for name in cls.units})
-
-    @classmethod
     def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
         del craft
-        return (Suspect(cls, None, {name: (i,) for i, name in enumerate(cls.units)}),)
+        return whole(cls, cls.units)
 
 
 @contextlib.contextmanager
