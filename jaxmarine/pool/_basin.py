@@ -3,37 +3,33 @@
 import dataclasses
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..physics import to_euler
-from ..simulation import Held, asked, initial_state, steer, substeps
-from ..vehicle import State, Vehicle
-from ._faults import Fault, push_of, resized, with_faults
+from ..simulation import Held, steer
+from ..vehicle import Plant, State, Vehicle
+from ._crafts import Craft
+from ._faults import Fault, with_faults
 
 # Between samples [s], as in the thesis (sec. 5.3).
 DT = 0.1
-# Speed on all axes for which steps are short enough [m/s, rad/s].
-_FASTEST = 3.0
 # The disturbance that can be asked for, a Gauss-Markov wrench as `disturbances.RandomWrench`: its standard
 # deviation as a share of what the actuators can give, with the craft's length as arm, and its memory [s].
 _SHARE, _MEMORY = 0.02, 5.0
 
 
-@eqx.filter_jit
-def _step(vehicle: Vehicle, gates, state: State, acting, commands, push, t, split) -> Held:
-    return steer(vehicle.plant(gates), state, acting, commands, push, t, jnp.asarray(DT), split)
+# Into how many steps a sample is cut: enough for each craft with every fault on at these speeds [m/s, rad/s], by
+# `simulation.substeps` (a test holds it).
+STEPS, FASTEST = 4, 3.0
 
 
-@eqx.filter_jit
-def _at_rest(vehicle: Vehicle, gates, commands) -> Array:
-    return asked(vehicle.plant(gates), commands, jnp.asarray(DT)).goal[0]
-
-
-_attitude = jax.jit(to_euler)
+@jax.jit
+def _step(plant: Plant, state: State, acting, commands, push, t) -> tuple[Held, Float[Array, "6"]]:
+    pose = jnp.concatenate([state.position, to_euler(state.attitude)])
+    return steer(plant, state, acting, commands, push, t, jnp.asarray(DT), STEPS), pose
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Sample:
 class Basin:
     """Water with a craft in it that has `faults`, none of which acts at first.
 
-    - `vehicle`: without them; `length` [m]; `depth` [m] of its origin at the start.
+    - `vehicle`: the craft's, without them.
     - `noise`: standard deviation of the sensors' white noise, by `CHANNELS`; NaN: no such sensor.
     """
 
@@ -63,65 +59,58 @@ class Basin:
         self,
         vehicle: Vehicle,
         faults: Mapping[str, Fault],
-        length: float,
-        depth: float,
+        craft: Craft,
         noise: Float[np.ndarray, "18"],
         seed: int | None = None,
     ):
-        if np.any(vehicle.plant().drive.delay) or vehicle.slider is not None:
+        late = [vehicle.thrusters.delay, *(one.delay for one in vehicle.actuators)]
+        if any(np.any(delay) for delay in late) or vehicle.slider is not None:
             raise ValueError("A craft whose commands act late, or that shifts a mass, cannot be flown.")
-        self._faults, self._own = faults, len(vehicle.placed)
-        self._vehicle = with_faults(vehicle, faults)
-        self._gates = np.ones(self._own + len(faults))
-        self._gates[self._own :] = 0.0
-        self._split = substeps(vehicle, DT, _FASTEST)
+
+        def plant(sizes: dict[str, dict[str, Array]], gates: Float[Array, " placed"]) -> Plant:
+            return with_faults(vehicle, faults, sizes).plant(gates)
+
+        # All faults are in it always, with gates that open and shut them: one program, whatever is on.
+        self._plant_of = jax.jit(plant)
+        self._sizes = {label: {n: s.value for n, s in one.sizes.items()} for label, one in faults.items()}
+        self._own = len(vehicle.placed)
+        self._gates = np.concatenate([np.ones(self._own), np.zeros(len(faults))])
+        self._plant = self._plant_of(self._sizes, self._gates)
         self._noise, self._rng = noise, np.random.default_rng(seed)
-        self._size = _SHARE * push_of(vehicle) * np.array([1, 1, 1, length, length, length]) * vehicle.free
+        self._force = _SHARE * craft.push * np.repeat([1.0, craft.size[0]], 3) * vehicle.free
         self._push = np.zeros(6)
         self.disturbed = False
         self._count = 0
-        self._state = initial_state(vehicle, position=(0.0, 0.0, depth))
-        rest = jnp.zeros(len(vehicle.command_names))
-        self._acting = _at_rest(self._vehicle, jnp.asarray(self._gates), rest)
+        self._state = State(np.array([0.0, 0.0, craft.depth]), np.eye(4)[0], np.zeros(6), np.zeros(0))
+        # Nothing is asked of actuators that rest.
+        self._acting = np.zeros(len(vehicle.command_names))
         # Compiles before the clock runs.
-        jax.block_until_ready(self._held(np.zeros(len(rest))))
+        jax.block_until_ready(self._held(self._acting))
 
     @property
     def t(self) -> float:
         """Time of the next sample [s]."""
         return self._count * DT
 
-    def switch(self, label: str, on: bool, values: Mapping[str, float]) -> None:
-        """Switches a fault from the next sample on; `values`: its size, all parameters of it."""
-        place = self._own + list(self._faults).index(label)
-        if values:
-            fault = self._faults[label].placed(self._vehicle, values)
-            self._vehicle = resized(self._vehicle, place, fault)
-        self._gates[place] = float(on)
+    def switch(self, label: str, on: bool, size: Mapping[str, float]) -> None:
+        """Switches a fault from the next sample on; `size`: all its parameters."""
+        self._sizes[label] = dict(size)
+        self._gates[self._own + list(self._sizes).index(label)] = float(on)
+        self._plant = self._plant_of(self._sizes, self._gates)
 
-    def _held(self, commands: Float[np.ndarray, " columns"]) -> Held:
-        return _step(
-            self._vehicle,
-            jnp.asarray(self._gates),
-            self._state,
-            self._acting,
-            jnp.asarray(commands),
-            jnp.asarray(self._push),
-            jnp.asarray(self.t),
-            jnp.asarray(self._split),
-        )
+    def _held(self, commands: Float[np.ndarray, " columns"]) -> tuple[Held, Array]:
+        return _step(self._plant, self._state, self._acting, commands, self._push, self.t)
 
     def step(self, commands: Float[np.ndarray, " columns"]) -> Sample:
         """Takes one sample, and goes on to the next under these commands."""
         kept = np.exp(-DT / _MEMORY) if self.disturbed else 0.0
-        new = np.sqrt(1.0 - kept**2) * self._size * self._rng.standard_normal(6)
+        new = np.sqrt(1.0 - kept**2) * self._force * self._rng.standard_normal(6)
         self._push = kept * self._push + new if self.disturbed else np.zeros(6)
-        held, position = self._held(commands), np.asarray(self._state.position)
+        held, pose = self._held(commands)
         shown = np.asarray(held.shown)
-        attitude = np.asarray(_attitude(self._state.attitude))
         sample = Sample(
             t=self.t,
-            pose=np.concatenate([position, attitude]),
+            pose=np.asarray(pose),
             commands=commands,
             shown=shown + self._noise * self._rng.standard_normal(len(shown)),
             given=np.asarray(held.given),

@@ -30,13 +30,14 @@ class Craft:
     """A packaged craft in the pool.
 
     - `size` [m]: length, beam and height as drawn, about `middle` [m, body axes]: pictures, not data.
-    - `depth` [m]: of the origin at the start.
+    - `depth` [m]: of the origin at the start; `push` [N]: what its actuators give together, about.
     """
 
     packaged: str
     size: tuple[float, float, float]
     middle: tuple[float, float, float]
     depth: float
+    push: float
     sticks: tuple[Stick, ...]
 
     def vehicle(self) -> Vehicle:
@@ -53,13 +54,14 @@ def _turn(columns: Mapping[str, float]) -> Stick:
 
 # By the kind of craft, as `examples.DEMOS`, whose craft they are.
 CRAFTS: Mapping[str, Craft] = {
-    kind: Craft(DEMOS[kind].craft, size, middle, depth, sticks)
-    for kind, size, middle, depth, sticks in (
+    kind: Craft(DEMOS[kind].craft, size, middle, depth, push, sticks)
+    for kind, size, middle, depth, push, sticks in (
         (
             "rov",
             (1.0, 0.8, 0.9),
             (0.0, 0.0, -0.4),
             2.0,
+            240.0,
             (
                 _surge(("star_h", "port_h"), lever=False),
                 _turn({"port_h": 1.0, "star_h": -1.0}),
@@ -74,6 +76,7 @@ CRAFTS: Mapping[str, Craft] = {
             (1.6, 0.19, 0.19),
             (0.0, 0.0, 0.0),
             5.0,
+            10.0,
             (
                 _surge(("propeller",)),
                 _turn({"rudder_top": 1.0, "rudder_bottom": 1.0}),
@@ -85,12 +88,13 @@ CRAFTS: Mapping[str, Craft] = {
                 ),
             ),
         ),
-        ("ship", (7.0, 1.27, 0.8), (0.0, 0.0, 0.0), 0.0, (_surge(("propeller",)), _turn({"rudder": 1.0}))),
+        ("ship", (7.0, 1.27, 0.8), (0.0, 0.0, 0.0), 0.0, 50.0, (_surge(("propeller",)), _turn({"rudder": 1.0}))),
         (
             "boat",
             (5.0, 2.8, 1.2),
             (0.0, 0.0, -0.2),
             0.0,
+            1000.0,
             (
                 _surge(("fore", "aft")),
                 _turn({"fore_angle": 1.0, "aft_angle": -1.0}),

@@ -3,12 +3,11 @@
 import dataclasses
 from collections.abc import Mapping
 
-import equinox as eqx
 import numpy as np
 
-from .._types import DOFS
+from .._types import DOFS, Scalar
 from ..effects import CATALOGUE, Suspect, place
-from ..vehicle import Placed, Vehicle, reach
+from ..vehicle import Placed, Vehicle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,21 +69,14 @@ class Fault:
     def units(self) -> dict[str, str]:
         return {name: self.suspect.effect.units[name] for name in self.sizes}
 
-    def placed(self, vehicle: Vehicle, values: Mapping[str, float]) -> Placed:
-        """The fault in a vehicle, with a beginning, so that a gate opens and shuts it."""
-        return Placed(place(self.suspect, vehicle, values), self.suspect.target, since=0.0)
 
+def faults_of(vehicle: Vehicle, push: float) -> dict[str, Fault]:
+    """Faults by their labels, such as `thruster_gain:port_h`, in the catalogue's order.
 
-def push_of(vehicle: Vehicle) -> float:
-    """The largest force that the actuators together can give along one axis [N]."""
-    by_thrusters = np.abs(np.asarray(vehicle.thrusters.direction)).T @ np.asarray(vehicle.thrusters.max_thrust)
-    return float((by_thrusters + reach(vehicle.plant())[:3]).max())
-
-
-def faults_of(vehicle: Vehicle) -> dict[str, Fault]:
-    """Faults by their labels, such as `thruster_gain:port_h`, in the catalogue's order."""
+    - `push` [N]: what the craft's actuators give together.
+    """
     out = {}
-    weight, push = float(vehicle.body.weight), push_of(vehicle)
+    weight = float(vehicle.body.weight)
     drag = np.diag(np.asarray(vehicle.damping.quadratic)) + np.diag(np.asarray(vehicle.damping.linear))
     for effect in CATALOGUE:
         if effect.name not in _OFFERED:
@@ -107,13 +99,13 @@ def _scaled(size: Size, scale: float) -> Size:
     return Size(*(float(f"{scale * one:.3g}") for one in dataclasses.astuple(size)))
 
 
-def with_faults(vehicle: Vehicle, faults: Mapping[str, Fault]) -> Vehicle:
-    """The vehicle with all faults at their first sizes, behind what it has; each acts where its gate is 1."""
+def with_faults(
+    vehicle: Vehicle, faults: Mapping[str, Fault], sizes: Mapping[str, Mapping[str, float | Scalar]]
+) -> Vehicle:
+    """The vehicle with all faults, behind what it has, each with a beginning: it acts where its gate is 1."""
     return vehicle.place(
-        *(fault.placed(vehicle, {n: s.value for n, s in fault.sizes.items()}) for fault in faults.values())
+        *(
+            Placed(place(fault.suspect, vehicle, sizes[label]), fault.suspect.target, since=0.0)
+            for label, fault in faults.items()
+        )
     )
-
-
-def resized(vehicle: Vehicle, place_of: int, placed: Placed) -> Vehicle:
-    """The vehicle with another size of one placed fault: the same program steps it."""
-    return eqx.tree_at(lambda v: v.placed[place_of].effect, vehicle, placed.effect)

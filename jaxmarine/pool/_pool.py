@@ -42,13 +42,11 @@ class Pool:
         clock: Callable[[], float] = time.monotonic,
     ):
         self.craft, self.vehicle = craft, craft.vehicle()
-        self.faults = faults_of(self.vehicle)
+        self.faults = faults_of(self.vehicle, craft.push)
         self.columns, self.limits = self.vehicle.command_names, self.vehicle.command_limits
         noise = self.vehicle.stated_noise
         self._measured = np.flatnonzero(np.isfinite(noise))
-        self._basin = Basin(
-            self.vehicle, self.faults, craft.size[0], craft.depth, noise if noisy else 0.0 * noise, seed
-        )
+        self._basin = Basin(self.vehicle, self.faults, craft, noise if noisy else 0.0 * noise, seed)
         self.vehicle_file = folder / VEHICLE
         _place_vehicle(packaged_vehicle(craft.packaged), self.vehicle_file)
         number = next_flight(folder)
