@@ -125,7 +125,7 @@ def hold_many(
 
 
 def asked(plant: Plant, commands: Float[Array, " columns"], dt) -> Asked:
-    """What commands without delay ask of the actuators over one hold of `dt` [s]: one row of `physics.Asked`."""
+    """What commands without delay ask of the actuators over one hold of `dt` [s], as one row."""
     now, drive = jax.tree.map(lambda a: a[None], (commands, plant.drive))
     return Asked.of(drive, Late(now, jnp.zeros_like(now), now), jnp.reshape(dt, (1, 1)))
 

@@ -21,7 +21,7 @@ DT = 0.1
 _SHARE, _MEMORY = 0.02, 5.0
 
 
-# Into how many steps a sample is cut: enough for each craft with every fault on at these speeds [m/s, rad/s], by
+# Into how many steps a sample is cut: enough for each craft at these speeds [m/s, rad/s], by
 # `simulation.substeps` (a test holds it).
 STEPS, FASTEST = 4, 3.0
 
@@ -81,7 +81,9 @@ class Basin:
         self._push = np.zeros(6)
         self.disturbed = False
         self._count = 0
-        self._state = State(np.array([0.0, 0.0, craft.depth]), np.eye(4)[0], np.zeros(6), np.zeros(0))
+        self._state = State(
+            jnp.array([0.0, 0.0, craft.depth]), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), jnp.zeros(0)
+        )
         # Nothing is asked of actuators that rest.
         self._acting = np.zeros(len(vehicle.command_names))
         # Compiles before the clock runs.

@@ -65,10 +65,10 @@ CRAFTS: Mapping[str, Craft] = {
             (
                 _surge(("star_h", "port_h"), lever=False),
                 _turn({"port_h": 1.0, "star_h": -1.0}),
+                Stick(("dive", "ArrowDown"), ("rise", "ArrowUp"), {"star_v": 1.0, "port_v": 1.0}, (3, 1)),
                 Stick(
-                    ("dive", "ArrowDown"), ("rise", "ArrowUp"), {"star_v": 1.0, "port_v": 1.0}, (3, 1)
+                    ("roll to starboard", "e"), ("roll to port", "q"), {"star_v": 1.0, "port_v": -1.0}, (0, 1)
                 ),
-                Stick(("roll to starboard", "e"), ("roll to port", "q"), {"star_v": 1.0, "port_v": -1.0}, (0, 1)),
             ),
         ),
         (
@@ -88,7 +88,14 @@ CRAFTS: Mapping[str, Craft] = {
                 ),
             ),
         ),
-        ("ship", (7.0, 1.27, 0.8), (0.0, 0.0, 0.0), 0.0, 50.0, (_surge(("propeller",)), _turn({"rudder": 1.0}))),
+        (
+            "ship",
+            (7.0, 1.27, 0.8),
+            (0.0, 0.0, 0.0),
+            0.0,
+            50.0,
+            (_surge(("propeller",)), _turn({"rudder": 1.0})),
+        ),
         (
             "boat",
             (5.0, 2.8, 1.2),

@@ -25,10 +25,10 @@ class Size:
 _OFFERED: Mapping[str, tuple[Mapping[str, Size], str | None]] = {
     "thruster_gain": ({"factor": Size(0.5, 0.0, 1.5)}, None),
     "reverse_thrust": ({"factor": Size(0.5, 0.0, 1.5)}, None),
-    "exchanged_thrusters": ({}, None),
     "deadband": ({"width": Size(0.15, 0.0, 0.5)}, None),
     "saturation": ({"limit": Size(0.5, 0.1, 1.0)}, None),
     "thrust_curve": ({"quadratic": Size(0.6, 0.0, 1.0)}, None),
+    "exchanged_thrusters": ({}, None),
     "thruster_lag": ({"time_constant": Size(0.6, 0.0, 3.0)}, None),
     "inflow_loss": ({"per_speed": Size(0.3, 0.0, 1.0)}, None),
     "surface_gain": ({"factor": Size(0.5, 0.0, 1.5)}, None),
@@ -71,18 +71,16 @@ class Fault:
 
 
 def faults_of(vehicle: Vehicle, push: float) -> dict[str, Fault]:
-    """Faults by their labels, such as `thruster_gain:port_h`, in the catalogue's order.
+    """Faults by their labels, such as `thruster_gain:port_h`, the plainest first.
 
     - `push` [N]: what the craft's actuators give together.
     """
     out = {}
     weight = float(vehicle.body.weight)
     drag = np.diag(np.asarray(vehicle.damping.quadratic)) + np.diag(np.asarray(vehicle.damping.linear))
-    for effect in CATALOGUE:
-        if effect.name not in _OFFERED:
-            continue
-        sizes, by = _OFFERED[effect.name]
-        for suspect in effect.suspects(vehicle):
+    effects = {effect.name: effect for effect in CATALOGUE}
+    for name, (sizes, by) in _OFFERED.items():
+        for suspect in effects[name].suspects(vehicle):
             axis = DOFS.index(suspect.target) if suspect.target in DOFS else 0
             scale = {"weight": weight, "push": push, "drag": float(drag[axis]), None: 1.0}[by]
             if scale <= 0.0 or suspect.target == "all":

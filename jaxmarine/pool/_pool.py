@@ -18,7 +18,7 @@ from ._recording import FAULTS, FLIGHT, VEHICLE, Rows, next_flight
 
 # Beyond so much delay [s] the simulation gives up what it has missed: its time then runs behind the wall's.
 _CATCHES_UP = 1.0
-# Without word from the page for so long [s] the sticks are let go. A page in the background speaks once a second.
+# Without word from the page for so long [s] all is set to rest. A page in the background speaks once a second.
 _SILENCE = 3.0
 _DISTURBANCE = "disturbance"
 
@@ -120,8 +120,7 @@ class Pool:
     def step(self) -> None:
         """Takes the next sample and records it. The first has commands of zero: they held before it."""
         with self._lock:
-            silent = self._clock() - self._heard > _SILENCE
-            if silent:
+            if self._clock() - self._heard > _SILENCE:
                 self._commands = np.zeros(len(self.columns))
             first = self.sample is None
             sample = self._basin.step(np.zeros(len(self.columns)) if first else self._commands)

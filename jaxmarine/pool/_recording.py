@@ -12,7 +12,7 @@ FLIGHT, FAULTS, VEHICLE = "flight-{}.csv", "faults-{}.csv", "vehicle.toml"
 
 
 class Rows:
-    """A CSV file that grows: each row is written by one call, so that no reader and no end finds half of one."""
+    """A CSV file that grows: each row is written by one call, so that nobody ever finds half of one."""
 
     def __init__(self, path: Path, names: Iterable[str]):
         self.path, self.count, self._size = path, 0, 0
@@ -61,4 +61,3 @@ def next_flight(folder: Path) -> int:
     while any((folder / name.format(number)).exists() for name in (FLIGHT, FAULTS)):
         number += 1
     return number
-

@@ -1,6 +1,5 @@
 """The page of the pool, and what it may ask for: on this machine only, from this page only."""
 
-import importlib.resources
 import json
 import shlex
 import threading
@@ -16,6 +15,7 @@ from .. import reports
 from .._errors import InputError
 from .._files import read_toml, validated
 from ..vehicle_io import packaged_vehicle
+from ._faults import Fault
 from ._pool import Pool
 
 HOST = "127.0.0.1"
@@ -87,19 +87,26 @@ def commands_of(pool: Pool) -> dict[str, str]:
 
 def _pages(pool: Pool) -> dict[str, tuple[str, bytes]]:
     """Everything that does not change: kind and content by path."""
-    here = importlib.resources.files(__package__)
-    look = importlib.resources.files(reports).joinpath("page.css").read_bytes()
-    script, own = (here.joinpath(name).read_bytes() for name in ("pool.js", "pool.css"))
+    here = Path(__file__).parent
+    look = (here.parent / "reports" / "page.css").read_bytes()
     page = (
-        reports.templates(Path(__file__).parent)
+        reports.templates(here)
         .get_template("pool.html.j2")
-        .render(name=pool.vehicle.name, pool=pool, keys=_keys(pool), said=commands_of(pool), faults=_groups(pool))
+        .render(
+            name=pool.vehicle.name,
+            pool=pool,
+            keys=_keys(pool),
+            said=commands_of(pool),
+            faults=_groups(pool),
+            levers=any(stick.lever for stick in pool.craft.sticks),
+            units=lambda fault, name: _of(fault, name),
+        )
     )
     return {
         "/": ("text/html", page.encode()),
         "/page.css": ("text/css", look),
-        "/pool.css": ("text/css", own),
-        "/pool.js": ("text/javascript", script),
+        "/pool.css": ("text/css", (here / "pool.css").read_bytes()),
+        "/pool.js": ("text/javascript", (here / "pool.js").read_bytes()),
         "/craft.json": ("application/json", json.dumps(_craft(pool), allow_nan=False).encode()),
     }
 
@@ -110,6 +117,13 @@ def _groups(pool: Pool) -> dict[str, list]:
     for fault in pool.faults.values():
         out.setdefault(fault.suspect.effect.name, []).append(fault)
     return out
+
+
+def _of(fault: Fault, parameter: str) -> str:
+    """The unit of a parameter; of one that is for forces or moments, the one that the axis has."""
+    forces, _, moments = fault.units()[parameter].partition(" or ")
+    turns = fault.suspect.target in ("roll", "pitch", "yaw")
+    return moments if moments and turns else forces
 
 
 def _keys(pool: Pool) -> list[tuple[int, int, str, str]]:
@@ -152,8 +166,7 @@ def _craft(pool: Pool) -> dict[str, Any]:
             for table in tables.get(kind, [])
         ],
         "surfaces": [
-            {key: table[key] for key in ("name", "position", "axis")}
-            for table in tables.get("surface", [])
+            {key: table[key] for key in ("name", "position", "axis")} for table in tables.get("surface", [])
         ],
     }
 
@@ -217,7 +230,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _at_home(self) -> bool:
         """Whether it was asked for by this address, from this page: another's name may lead here as well."""
-        names = {f"{name}:{self.server.server_address[1]}" for name in (HOST, "localhost")}
+        port = self.connection.getsockname()[1]
+        names = {f"{name}:{port}" for name in (HOST, "localhost")}
         origin = self.headers.get("Origin")
         if self.headers.get("Host") in names and (origin is None or origin.removeprefix("http://") in names):
             return True
