@@ -18,7 +18,7 @@ from ._recording import FAULTS, FLIGHT, VEHICLE, Rows, next_flight
 
 # Beyond so much delay [s] the simulation gives up what it has missed: its time then runs behind the wall's.
 _CATCHES_UP = 1.0
-# Without word from the page for so long [s] all is set to rest. A page in the background speaks once a second.
+# Without word from the page for so long [s] all is set to rest. A page in the background speaks every second.
 _SILENCE = 3.0
 _DISTURBANCE = "disturbance"
 
