@@ -2,12 +2,12 @@
 
 import base64
 import contextlib
+import http.client
 import itertools
 import json
 import shutil
 import subprocess
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -79,9 +79,10 @@ def browser(folder: Path) -> Iterator[Page]:
         told = folder / "DevToolsActivePort"
         until(lambda: told.exists() and "\n" in told.read_text())
         port = told.read_text().split()[0]
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=PATIENCE) as answer:
-            tab = next(one for one in json.load(answer) if one["type"] == "page")
-        with connect(tab["webSocketDebuggerUrl"], max_size=None) as socket:
+        asked = http.client.HTTPConnection("127.0.0.1", int(port), timeout=PATIENCE)
+        asked.request("GET", "/json/list")
+        tab = next(one for one in json.load(asked.getresponse()) if one["type"] == "page")
+        with connect(tab["webSocketDebuggerUrl"], max_size=None, proxy=None) as socket:
             yield Page(socket)
     finally:
         process.kill()

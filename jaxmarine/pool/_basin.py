@@ -19,11 +19,9 @@ DT = 0.1
 # The disturbance that can be asked for, a Gauss-Markov wrench as `disturbances.RandomWrench`: its standard
 # deviation as a share of what the actuators can give, with the craft's length as arm, and its memory [s].
 _SHARE, _MEMORY = 0.02, 5.0
-
-
-# Into how many steps a sample is cut: enough for each craft at these speeds [m/s, rad/s], by
-# `simulation.substeps` (a test holds it).
-STEPS, FASTEST = 4, 3.0
+# Into how many steps a sample is cut: no fewer than `simulation.substeps` asks of any craft at 3 m/s and 3 rad/s,
+# with the largest drag that can be switched on.
+STEPS = 10
 
 
 @jax.jit
