@@ -79,9 +79,11 @@ def browser(folder: Path) -> Iterator[Page]:
         told = folder / "DevToolsActivePort"
         until(lambda: told.exists() and "\n" in told.read_text())
         port = told.read_text().split()[0]
-        asked = http.client.HTTPConnection("127.0.0.1", int(port), timeout=PATIENCE)
-        asked.request("GET", "/json/list")
-        tab = next(one for one in json.load(asked.getresponse()) if one["type"] == "page")
+        with contextlib.closing(
+            http.client.HTTPConnection("127.0.0.1", int(port), timeout=PATIENCE)
+        ) as asked:
+            asked.request("GET", "/json/list")
+            tab = next(one for one in json.load(asked.getresponse()) if one["type"] == "page")
         with connect(tab["webSocketDebuggerUrl"], max_size=None, proxy=None) as socket:
             yield Page(socket)
     finally:

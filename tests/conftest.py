@@ -78,15 +78,15 @@ def loopback(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def only_here(function, place):
         def call(*arguments, **keywords):
-            host = arguments[place]
-            host = host[0] if isinstance(host, tuple) else host
+            host = arguments[place][0] if place else arguments[0]
             assert host == "127.0.0.1", f"{host} was asked for"
             return function(*arguments, **keywords)
 
         return call
 
-    for name, function in _REAL.items():
-        monkeypatch.setattr(socket, name, only_here(function, 0))
+    # It asks by the others.
+    monkeypatch.setattr(socket, "create_connection", _REAL["create_connection"])
+    monkeypatch.setattr(socket, "getaddrinfo", only_here(_REAL["getaddrinfo"], 0))
     for name in ("connect", "bind"):
         monkeypatch.setattr(socket.socket, name, only_here(getattr(_socket.socket, name), 1))
 

@@ -1,11 +1,14 @@
-"""The pool: a flight is what the simulation says, its log is a log, and its page is for this machine alone."""
+"""The pool: a flight is what the simulation says, its log is one, its page is for this machine alone."""
 
+import _socket
 import contextlib
 import functools
 import http.client
 import json
 import re
+import shlex
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -14,16 +17,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import diffrax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxmarine as jm
 from jaxmarine.effects import place
 from jaxmarine.examples import operator
-from jaxmarine.pool import CRAFTS, Pool, serve
+from jaxmarine.pool import CRAFTS, Pool, commands_of, serve
 from jaxmarine.pool._basin import DT, STEPS
 from jaxmarine.pool._faults import faults_of, with_faults
+from jaxmarine.pool._recording import Rows
 from jaxmarine.simulation import substeps
 
 from .browser import CHROMIUM, browser, until
@@ -48,7 +51,7 @@ def flown(flight: Pool, commands: np.ndarray) -> None:
 
 
 def test_a_flight_with_faults_is_what_the_simulation_says(tmp_path):
-    """A weak thruster from 2 s on and a current from 4 s on, by an adaptive method and the catalogue itself."""
+    """A weak thruster from 2 s on and a current from 4 s on, by an adaptive method."""
     flight = pool(tmp_path)
     commands = operator(4, np.arange(80) * DT, seed=1)
     flown(flight, commands[:20])
@@ -69,7 +72,7 @@ def test_a_flight_with_faults_is_what_the_simulation_says(tmp_path):
         placed.append(jm.Placed(place(suspect, flight.vehicle, values), suspect.target, since=since))
     start = jm.initial_state(flight.vehicle, position=(0.0, 0.0, ROV.depth))
     track = jm.simulate(flight.vehicle.place(*placed), log, start, diffrax.Tsit5())
-    # Nine digits in the log, a relative 1e-8 in a step of the adaptive method, of which there are some hundreds.
+    # Nine digits in the log, a relative 1e-8 in each of some hundred steps of the adaptive method.
     np.testing.assert_allclose(log.channels, track.channels, rtol=1e-6, atol=1e-7)
 
 
@@ -150,3 +153,203 @@ def test_who_says_nothing_for_long_drives_no_further(tmp_path):
     flight.step()
     assert set(flight.view()["commands"].values()) == {0.0}
     flight.close()
+
+
+def test_a_log_that_cannot_be_written_ends_the_flight_with_a_sentence(tmp_path):
+    flight = pool(tmp_path)
+    flown(flight, np.zeros((2, 4)))
+    flight.close()
+    with pytest.raises(jm.InputError, match=r"flight-1\.csv: has ended"):
+        flight.step()
+    assert len(flight.log.path.read_text().splitlines()) == 3
+    with pytest.raises(jm.InputError, match="cannot be written, because no such file"):
+        Rows(tmp_path / "nowhere" / "flight-1.csv", ("t",))
+
+
+@pytest.mark.parametrize(
+    ("act", "sentence"),
+    [
+        (lambda p: p.steer({"port": 1.0}), r"Command `port`: is of no actuator; did you mean `port_[hv]`"),
+        (lambda p: p.steer({"port_h": 1.5}), "must lie within 1 of 0"),
+        (lambda p: p.steer({"port_h": float("nan")}), "must lie within 1 of 0"),
+        (lambda p: p.switch("thruster_gain:port", True, {}), r"Fault `thruster_gain:port`: is not known"),
+        (lambda p: p.switch(WEAK, True, {"factors": 1.0}), "has no parameter `factors`; give factor"),
+        (lambda p: p.switch(WEAK, True, {"factor": 2.0}), "must lie from 0 to 1.5"),
+        (lambda p: p.switch("disturbance", True, {"factor": 1.0}), "has no size"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_changes_nothing(grounded, act, sentence):
+    before = grounded.view()
+    with pytest.raises(jm.InputError, match=sentence):
+        act(grounded)
+    assert grounded.view() == before
+
+
+@pytest.fixture(scope="module")
+def grounded(tmp_path_factory) -> Pool:
+    flight = pool(tmp_path_factory.mktemp("grounded"))
+    flown(flight, np.zeros((1, 4)))
+    return flight
+
+
+# --- the page ------------------------------------------------------------------------------------
+
+EVIL = """<img src=x onerror=alert(1)>'"&"""
+
+
+class Asked:
+    """A browser of few words, whose answers are statuses and JSON or text."""
+
+    def __init__(self, address: str):
+        self.host, port = address.removeprefix("http://").rstrip("/").split(":")
+        self.port = int(port)
+
+    def __call__(self, path: str, body: bytes | None = None, **headers: str) -> tuple[int, str]:
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=30)
+        kind = {} if body is None else {"Content-Type": "application/json"}
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection.request("GET" if body is None else "POST", path, body, kind | named)
+        answer = connection.getresponse()
+        status, said = answer.status, answer.read().decode()
+        connection.close()
+        return status, said
+
+
+@pytest.fixture
+def served(tmp_path, loopback) -> Iterator[tuple[Pool, Asked]]:
+    """A flight in real time, in a folder with a name that is markup. It ends as on a full disk."""
+    folder = tmp_path / EVIL.replace("/", "")
+    folder.mkdir()
+    flight = pool(folder, clock=time.monotonic)
+    addresses, ends = [], []
+
+    def until_it_fails():
+        try:
+            serve(flight, 0, addresses.append)
+        except jm.InputError as error:
+            ends.append(str(error))
+
+    serving = threading.Thread(target=until_it_fails, daemon=True)
+    serving.start()
+    until(lambda: addresses)
+    yield flight, Asked(addresses[0])
+    flight.steer({})
+    flight.close()
+    serving.join(30.0)
+    assert len(ends) == 1 and "has ended" in ends[0]
+
+
+def test_a_flight_over_the_wire(served):
+    """Sticks and faults go in, and what happens comes out and into the log, in real time."""
+    flight, ask = served
+    status, page = ask("/")
+    assert status == 200 and "<img" not in page and "&lt;img src=x" in page
+    assert all(ask(path)[0] == 200 for path in ("/page.css", "/pool.css", "/pool.js"))
+    craft = json.loads(ask("/craft.json")[1])
+    assert [one["name"] for one in craft["columns"]] == list(flight.columns)
+    # The clock begins with the first word.
+    assert json.loads(ask("/state")[1])["rows"] == 0
+    ahead = json.dumps({"commands": {"port_h": 0.5, "star_h": 0.5}}).encode()
+    began = time.monotonic()
+    assert ask("/steer", ahead)[0] == 200
+    weak = json.dumps({"fault": WEAK, "on": True, "values": {"factor": 0.4}}).encode()
+    status, said = ask("/switch", weak)
+    assert status == 200 and json.loads(said)["faults"][WEAK]["values"] == {"factor": 0.4}
+    state = until(lambda: (now := json.loads(ask("/state")[1]))["rows"] >= 10 and now)
+    assert time.monotonic() - began > 9 * DT - 0.01
+    assert state["given"]["port_h"] == pytest.approx(0.4 * state["given"]["star_h"])
+    # To starboard is positive, and the port thruster pushes that way: weak, it turns the craft to port.
+    assert state["pose"][0] > 0.0 > state["pose"][5]
+    last = flight.log.path.read_text().splitlines()[-1].split(",")
+    assert [float(cell) for cell in last[-len(flight.columns) :]] == [0.5, 0.5, 0.0, 0.0]
+    for typed in commands_of(flight).values():
+        assert str(flight.vehicle_file) in shlex.split(typed)
+
+
+def test_only_this_machine_and_this_page_are_answered(served):
+    flight, ask = served
+    rest = b'{"commands": {}}'
+    home = f"127.0.0.1:{ask.port}"
+    for status, path, body, headers in (
+        (403, "/", None, {"Host": f"example.org:{ask.port}"}),
+        (403, "/state", None, {"Host": "127.0.0.1:1"}),
+        (403, "/steer", rest, {"Origin": "http://example.org"}),
+        (403, "/steer", rest, {"Origin": "null"}),
+        (415, "/steer", rest, {"Content_Type": "text/plain"}),
+        (413, "/steer", rest, {"Content_Length": "99999999999"}),
+        (413, "/steer", rest, {"Content_Length": "-1"}),
+        (404, "/../../etc/passwd", None, {}),
+        (404, "/elsewhere", rest, {}),
+        (400, "/steer", b"{", {}),
+        (400, "/steer", b"[" * 19000, {}),
+        (400, "/steer", b'{"commands": {"port_h": NaN}}', {}),
+        (400, "/steer", b'{"commands": {"port_h": "1"}}', {}),
+        (400, "/steer", b'{"commands": {}, "more": 1}', {}),
+        (400, "/switch", b'{"fault": "<b>", "on": true}', {}),
+    ):
+        answered, said = ask(path, body, **headers)
+        assert (answered, list(json.loads(said))) == (status, ["error"]), (path, body, headers, said)
+    assert flight.view()["rows"] == 0
+    assert ask("/steer", rest, Host=home, Origin=f"http://{home}")[0] == 200
+    # Another address of this machine has no such port.
+    with socket.socket() as other, pytest.raises(OSError):
+        _socket.socket.connect(other, ("127.0.0.2", ask.port))
+
+
+def test_a_port_that_is_taken_is_said(grounded, loopback):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(jm.InputError, match=r"--port \d+: cannot be opened .*; choose another, or 0"):
+            serve(grounded, taken.getsockname()[1], lambda _: None)
+
+
+# --- a real browser ------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def started(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The command line in a process of its own, and its page's address."""
+    words = [sys.executable, "-m", "jaxmarine", "pool", "--port", "0", "--out", str(folder)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        try:
+            line = next(line for line in process.stdout if "http://" in line)
+            yield process, re.findall(r"http://\S+", line)[0]
+        finally:
+            process.kill()
+
+
+@pytest.mark.slow  # starts a browser, and flies in real time
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+def test_a_browser_flies_breaks_a_thruster_and_leaves_a_log(tmp_path, loopback):
+    with started(tmp_path / "pool") as (process, address), browser(tmp_path / "profile") as page:
+        page.size(390, 844)
+        page.open(address)
+        state = functools.partial(page.value, "typeof state === 'undefined' || !state?.pose ? null : state")
+        until(state)
+        # Nothing is wider than the window of a telephone.
+        assert page.value("document.documentElement.scrollWidth") <= 390
+        page.key("w", True)
+        until(lambda: state()["commands"]["port_h"] == 1.0)
+        page.value(f"$('faults').querySelector(`[data-fault='{WEAK}']`).click()")
+        until(lambda: WEAK in state()["faults"])
+        until(lambda: (now := state()["given"])["port_h"] == pytest.approx(0.5 * now["star_h"]) != 0.0)
+        assert WEAK in page.value("document.getElementById('news').textContent")
+        page.key("w", False)
+        until(lambda: state()["commands"]["port_h"] == 0.0)
+        page.key("ArrowDown", True)
+        until(lambda: state()["commands"]["star_v"] == 1.0)
+        # Who looks away has let go.
+        page.value("dispatchEvent(new Event('blur'))")
+        until(lambda: state()["commands"]["star_v"] == 0.0)
+        drawn = "getContext('2d').getImageData(0, 0, 300, 300).data.some((shade) => shade)"
+        assert page.value(f"$('top').{drawn} && $('side').{drawn}")
+        assert not page.complaints
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == 0
+        assert process.stdout is not None and "jaxmarine diagnose" in process.stdout.read()
+    vehicle = jm.load_vehicle(tmp_path / "pool" / "vehicle.toml")
+    log = jm.read_log(tmp_path / "pool" / "flight-1.csv", vehicle)
+    assert log.commands is not None and log.commands.max() == 1.0
+    assert f",{WEAK},1,factor=0.5" in (tmp_path / "pool" / "faults-1.csv").read_text()

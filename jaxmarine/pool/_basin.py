@@ -19,8 +19,8 @@ DT = 0.1
 # The disturbance that can be asked for, a Gauss-Markov wrench as `disturbances.RandomWrench`: its standard
 # deviation as a share of what the actuators can give, with the craft's length as arm, and its memory [s].
 _SHARE, _MEMORY = 0.02, 5.0
-# Into how many steps a sample is cut: no fewer than `simulation.substeps` asks of any craft at 3 m/s and 3 rad/s,
-# with the largest drag that can be switched on.
+# Into how many steps a sample is cut: no fewer than `simulation.substeps` asks of any craft at 3 m/s and
+# 3 rad/s, with the largest drag that can be switched on.
 STEPS = 10
 
 
