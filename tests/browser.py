@@ -73,7 +73,8 @@ def browser(folder: Path) -> Iterator[Page]:
     """A page of a browser whose profile lies in a folder of its own."""
     assert CHROMIUM is not None
     words = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-dev-shm-usage"]
-    words += ["--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]
+    # Scroll bars would take their share of a narrow window, and be cut out of its picture.
+    words += ["--hide-scrollbars", "--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]
     process = subprocess.Popen([CHROMIUM, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         told = folder / "DevToolsActivePort"

@@ -31,6 +31,7 @@ from jaxmarine.simulation import substeps
 
 from .browser import CHROMIUM, browser, until
 from .conftest import ROOT
+from .shell import exit_code
 
 ROV = CRAFTS["rov"]
 WEAK = "thruster_gain:port_h"
@@ -304,6 +305,12 @@ def test_a_port_that_is_taken_is_said(grounded, loopback):
             serve(grounded, taken.getsockname()[1], lambda _: None)
 
 
+def test_a_folder_that_is_a_file_is_refused(tmp_path, capsys):
+    (tmp_path / "pool").write_text("")
+    assert exit_code("pool", "--out", tmp_path / "pool") == 2
+    assert "pool: " in capsys.readouterr().err
+
+
 # --- a real browser ------------------------------------------------------------------------------
 
 
@@ -328,7 +335,8 @@ def test_a_browser_flies_breaks_a_thruster_and_leaves_a_log(tmp_path, loopback):
         page.open(address)
         state = functools.partial(page.value, "typeof state === 'undefined' || !state?.pose ? null : state")
         until(state)
-        # Nothing is wider than the window of a telephone.
+        # Nothing is wider than a narrow window.
+        page.value("document.querySelectorAll('details').forEach((one) => (one.open = true))")
         assert page.value("document.documentElement.scrollWidth") <= 390
         page.key("w", True)
         until(lambda: state()["commands"]["port_h"] == 1.0)

@@ -79,7 +79,7 @@ def commands_of(pool: Pool) -> dict[str, str]:
     vehicle, log = (shlex.quote(str(path)) for path in (pool.vehicle_file, pool.log.path))
     report = shlex.quote(str(pool.log.path.with_suffix("")) + "-report")
     return {
-        "watch": f"jaxmarine watch --vehicle {vehicle} {log}",
+        "watch": f"jaxmarine watch --vehicle {vehicle} --page {log}",
         "check": f"jaxmarine check --vehicle {vehicle} {log}",
         "diagnose": f"jaxmarine diagnose --vehicle {vehicle} --train {log} --test {log} --out {report}",
     }
