@@ -193,6 +193,25 @@ def grounded(tmp_path_factory) -> Pool:
     return flight
 
 
+@pytest.mark.slow  # a whole diagnosis
+def test_what_breaks_in_a_flight_is_named(tmp_path):
+    """By its own log, with the noise of the file and no other knowledge, with when it began."""
+    flight = pool(tmp_path, noisy=True)
+    commands = operator(4, np.arange(1200) * DT, seed=1)
+    flown(flight, commands[:400])
+    flight.switch(WEAK, True, {})
+    flown(flight, commands[400:])
+    flight.close()
+    vehicle = jm.load_vehicle(flight.vehicle_file)
+    log = jm.read_log(flight.log.path, vehicle)
+    found = jm.diagnose(vehicle, log, log)
+    assert found.verdict == "explained" and [one.label for one in found.findings] == [WEAK]
+    factor = found.findings[0].parameters["factor"]
+    assert abs(factor.value - 0.5) < 4 * factor.std < 0.02
+    # As near as a diagnosis finds it elsewhere (tests/test_diagnosis.py).
+    assert found.findings[0].since == pytest.approx(40.0, abs=0.5)
+
+
 # --- the page ------------------------------------------------------------------------------------
 
 EVIL = """<img src=x onerror=alert(1)>'"&"""
