@@ -25,8 +25,10 @@ from jaxmarine.effects import place
 from jaxmarine.examples import operator
 from jaxmarine.pool import CRAFTS, Pool, commands_of, serve
 from jaxmarine.pool._basin import DT, STEPS
+from jaxmarine.pool._crafts import Craft
 from jaxmarine.pool._faults import faults_of, with_faults
 from jaxmarine.pool._recording import Rows
+from jaxmarine.pool._server import _craft
 from jaxmarine.simulation import substeps
 
 from .browser import CHROMIUM, browser, until
@@ -37,9 +39,9 @@ ROV = CRAFTS["rov"]
 WEAK = "thruster_gain:port_h"
 
 
-def pool(folder: Path, **given) -> Pool:
-    """A flight of the ROV, of which a test is the clock."""
-    return Pool(ROV, folder, **({"seed": 0, "noisy": False, "clock": lambda: 0.0} | given))
+def pool(folder: Path, craft: Craft = ROV, **given) -> Pool:
+    """A flight of which a test is the clock."""
+    return Pool(craft, folder, **({"seed": 0, "noisy": False, "clock": lambda: 0.0} | given))
 
 
 def flown(flight: Pool, commands: np.ndarray) -> None:
@@ -102,6 +104,35 @@ def test_a_fault_changes_the_force_as_its_effect_says(tmp_path):
     rows = flight.switched.path.read_text().splitlines()
     assert rows[0] == "t,fault,on,size"
     assert rows[1] == f"0.2,{WEAK},1,factor=0.4" and rows[-1] == f"1.0,{WEAK},0,factor=0.4"
+
+
+# Of what a stick says it does: the place in the pose, or among the velocities after it, and the sign.
+MEANT = {
+    "ahead": (6, 1),
+    "to starboard": (5, 1),
+    "dive": (2, 1),
+    "roll to starboard": (3, 1),
+    "nose down": (4, -1),
+    "sideways to starboard": (7, 1),
+}
+
+
+@pytest.mark.parametrize(
+    "kind", [kind if kind == "rov" else pytest.param(kind, marks=pytest.mark.slow) for kind in CRAFTS]
+)
+def test_every_stick_does_what_it_says(kind, tmp_path):
+    """Within 2 s, beside a craft under thrust alone, without which no fin and no azimuth does anything."""
+    craft = CRAFTS[kind]
+    first, *_ = told = _craft(pool(tmp_path, craft))["sticks"]
+    for stick, shown in zip(craft.sticks, told, strict=True):
+        moved, plain = pool(tmp_path, craft), pool(tmp_path, craft)
+        for flight, pushed in ((moved, shown["columns"]), (plain, {})):
+            thrust = {} if kind == "rov" or shown is first else first["columns"]
+            row = [0.5 * (thrust.get(name, 0.0) + pushed.get(name, 0.0)) for name in flight.columns]
+            flown(flight, np.tile(row, (20, 1)))
+        place, sign = MEANT[stick.more[0]]
+        there, elsewhere = (np.append(one.sample.pose, one.sample.shown[6:12]) for one in (moved, plain))
+        assert sign * (there - elsewhere)[place] > 1e-4
 
 
 @pytest.mark.parametrize("kind", CRAFTS)
