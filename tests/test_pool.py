@@ -223,6 +223,29 @@ def grounded(tmp_path_factory) -> Pool:
     return flight
 
 
+def test_on_a_machine_that_is_too_slow_the_log_is_as_it_should_be(tmp_path):
+    """Each look at the clock is two seconds after the last."""
+    looks = 0
+
+    def clock() -> float:
+        nonlocal looks
+        looks += 1
+        if looks > 30:
+            flight.end()
+        return 2.0 * looks
+
+    flight = pool(tmp_path, clock=clock)
+    flight.steer({})
+    flight.run()
+    flight.close()
+    log = jm.read_log(flight.log.path, flight.vehicle)
+    np.testing.assert_allclose(log.t, np.arange(len(log.t)) * DT, atol=1e-9)
+    # It says how far the simulation has fallen behind; five looks at most are before the first sample and
+    # after the last.
+    passed = 2.0 * looks - log.t[-1]
+    assert flight.view()["lost"] == pytest.approx(passed, abs=10.0) and passed > 40.0
+
+
 @pytest.mark.slow  # a whole diagnosis
 def test_what_breaks_in_a_flight_is_named(tmp_path):
     """By its own log, with the noise of the file and no other knowledge, with when it began."""
