@@ -49,6 +49,12 @@ def flown(flight: Pool, commands: np.ndarray) -> None:
         flight.step()
 
 
+def reached(flight: Pool) -> np.ndarray:
+    """Pose and velocities at the last sample."""
+    assert flight.sample is not None
+    return np.append(flight.sample.pose, flight.sample.shown[6:12])
+
+
 # --- the craft in the water ----------------------------------------------------------------------
 
 
@@ -130,8 +136,7 @@ def test_every_stick_does_what_it_says(kind, tmp_path):
             row = [0.5 * (thrust.get(name, 0.0) + pushed.get(name, 0.0)) for name in flight.columns]
             flown(flight, np.tile(row, (20, 1)))
         place, sign = MEANT[stick.more[0]]
-        there, elsewhere = (np.append(one.sample.pose, one.sample.shown[6:12]) for one in (moved, plain))
-        assert sign * (there - elsewhere)[place] > 1e-4
+        assert sign * (reached(moved) - reached(plain))[place] > 1e-4
 
 
 @pytest.mark.parametrize("kind", CRAFTS)
