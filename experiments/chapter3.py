@@ -33,8 +33,8 @@ from experiments.thesis.controllers import AXES, DT, MOST, PID, SONCS, Axes, Con
 from jaxmarine import control
 from jaxmarine.control._follow import _off
 from jaxmarine.effects import Payload, SteadyCurrent, ThrusterGain
-from jaxmarine.physics import Asked, Late, to_euler
-from jaxmarine.simulation import hold
+from jaxmarine.physics import to_euler
+from jaxmarine.simulation import asked, hold
 from jaxmarine.vehicle import Input, Plant
 
 HERE = Path(__file__).parent / "control"
@@ -111,8 +111,7 @@ def troubled(vehicle: jm.Vehicle, case: Case, weed, load) -> jm.Vehicle:
 
 def pushed(plant: Plant, command: Float[Array, "8"]) -> Float[Array, "8"]:
     """Thrust of commands that are held [N]: these thrusters have no lag."""
-    now, drive = jax.tree.map(lambda a: a[None], (command, plant.drive))
-    return Asked.of(drive, Late(now, jnp.zeros_like(now), now), jnp.full((1, 1), DT)).now[0]
+    return asked(plant, command, DT).now[0]
 
 
 def moved(plant: Plant, state: jm.State, command, dt: float, split: int) -> jm.State:

@@ -6,6 +6,7 @@ and one picture. `results.json` holds it all; the pages are written from that.
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import jinja2
 import typer
 from jaxtyping import Array, Float
+from PIL import Image
 
 from experiments._study import ScalarEffect, study
 from experiments.worked.bag import write_bag
@@ -58,11 +60,13 @@ def bags_of_a_boat(folder: Path) -> None:
 
 def logs_with_a_foil(folder: Path) -> None:
     """Logs of an ROV with a force that the catalogue does not have."""
-    rov = packaged("bluerov2_heavy", folder)
+    rov = packaged("tethra", folder)
     for log in hidden(rov, "foil", None, {"lift": 40.0}, catalogue=(*CATALOGUE, Foil)):
         write_log(log, folder / log.name)
 
 
+# Lines that tell how far a command has come, which each machine tells in its own time.
+_PROGRESS = re.compile(r"^.* \.\.\.( \d+ % done.*)?\n", re.MULTILINE)
 # How the files of a case are made, where its commands do not make them.
 MAKE: dict[str, Callable[[Path], None]] = {"boat": bags_of_a_boat, "unknown": logs_with_a_foil}
 CASES: list[dict[str, Any]] = tomllib.loads((HERE / "cases.toml").read_text(encoding="utf-8"))["case"]
@@ -81,7 +85,7 @@ def run(case: dict[str, Any], folder: Path) -> dict[str, Any]:
         done = subprocess.run(
             command, cwd=folder, env={**os.environ, **plain}, stdout=subprocess.PIPE, text=True, check=True
         )
-        printed.append(done.stdout.replace(f"{folder.resolve()}/", "").strip())
+        printed.append(_PROGRESS.sub("", done.stdout).strip())
     told = json.loads((folder / "report" / "diagnosis.json").read_text(encoding="utf-8"))
     return {
         "printed": printed,
@@ -120,7 +124,10 @@ def main(
         for case in wanted:
             name = case["name"]
             found = results[name] = run(case, out / name)
-            shutil.copy(out / name / "report" / "figures" / f"{case['figure']}.png", out / f"{name}.png")
+            with Image.open(out / name / "report" / "figures" / f"{case['figure']}.png") as figure:
+                figure.thumbnail((1080, 1080))
+                few = figure.convert("RGB").convert("P", palette=Image.Palette.ADAPTIVE, colors=32)
+                few.save(out / f"{name}.png", optimize=True)
             (out / f"{name}.md").write_text(page(case, found), encoding="utf-8")
             print(f"{name}: {found['verdict']}, {found['findings']}", flush=True)
     (out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")

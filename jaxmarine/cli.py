@@ -1,10 +1,11 @@
 """The command line. Every mistake in what is handed in ends with one sentence and exit code 2."""
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -716,6 +717,50 @@ def demo(
     write_log(test, out / "test.csv")
     _say(f"Hidden in the log: {shown.told}.")
     _write(result, out)
+
+
+@app.command(epilog="Example: `jaxmarine pool --craft rov --out pool`")
+def pool(
+    craft: Annotated[
+        Kind, typer.Option("--craft", help="An ROV, a torpedo, a tanker's model or a ferry.")
+    ] = Kind.ROV,
+    out: Annotated[Path, typer.Option("--out", help="Folder for the log and the vehicle file.")] = Path(
+        "pool"
+    ),
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")
+    ] = 8760,
+) -> None:
+    """A simulated craft to fly in the browser, with faults to switch on; it records a log."""
+    need(("jinja2", "matplotlib"), "report", "The pool")
+    _folder(out, make=False)
+    prepare()
+    from .pool import CRAFTS, Pool, commands_of, serve
+
+    # Whoever ends it in the usual ways ends it whole.
+    ended = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with _progress("compiling for some seconds") as tell:
+            _folder(out)
+            flown = _stoppable(lambda _: Pool(CRAFTS[craft], out), tell)
+        try:
+            with suppress(KeyboardInterrupt):
+                serve(flown, port, lambda address: _say_pool(address, flown, commands_of(flown)))
+        finally:
+            flown.close()
+        if not flown.log.count:
+            _say("Ended; nobody flew, and nothing was recorded.")
+            return
+        _say(f"Ended after {flown.log.count} samples; log: {flown.log.path}")
+        _say(f"Diagnose it:\n  {commands_of(flown)['diagnose']}")
+    finally:
+        signal.signal(signal.SIGTERM, ended)
+
+
+def _say_pool(address: str, flown, commands: dict[str, str]) -> None:
+    _say(f"Open {address} in a browser; Ctrl-C here ends it.")
+    _say(f"Log: {flown.log.path}")
+    _say(f"Watch it, in another terminal:\n  {commands['watch']}")
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ of a step the next sample.
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from ._types import CHANNELS, Times
 from ._vmap_last import vmap_last
 from .logs import Log
-from .physics import from_euler, late, step_lengths, thrust
+from .physics import Asked, Late, from_euler, late, step_lengths, thrust
 from .vehicle import Input, Plant, State, Vehicle
 
 # A product of step and fastest decay rate that the explicit method takes with an error below 1e-3.
@@ -122,6 +122,41 @@ def hold_many(
     args = plant, drives, alike
     after = _stepped(RungeKutta4(), _rates_of_many, drives.t[None], dt[None], _flat(states), args, split)
     return _unflat(after)
+
+
+def asked(plant: Plant, commands: Float[Array, " columns"], dt) -> Asked:
+    """What commands without delay ask of the actuators over one hold of `dt` [s], as one row."""
+    now, drive = jax.tree.map(lambda a: a[None], (commands, plant.drive))
+    return Asked.of(drive, Late(now, jnp.zeros_like(now), now), jnp.reshape(dt, (1, 1)))
+
+
+class Held(NamedTuple):
+    """One sample of a vehicle whose commands are known only then.
+
+    - `after`: the state at the next sample; `acting`: where the actuators' lags stand there, in the units of
+      `Input.thrust`.
+    - `shown`: what the sensors show at this sample; `given`: thrust and states of actuators that act at it.
+    """
+
+    after: State
+    acting: Float[Array, " columns"]
+    shown: Float[Array, "18"]
+    given: Float[Array, " columns"]
+
+
+def steer(plant: Plant, state: State, acting: Float[Array, " columns"], commands, push, t, dt, split) -> Held:
+    """From one sample to the next under commands, for what is simulated while it is steered.
+
+    - `acting`: where the actuators' lags stand at the sample; before the first, `asked(...).goal[0]`.
+    - `push`: a wrench on the hull beside the actuators' [N, N m, body axes].
+
+    Without delays of commands and of sensors, which ask for what was before.
+    """
+    goal = asked(plant, commands, dt)
+    given = jax.tree.map(lambda a: a[0], goal.thrust(acting[None]))
+    over = Input(given.mean, commands, push, t, given.slope, t + 0.5 * dt)
+    shown = plant.readings(state, plant.acceleration(state, Input(given.instant, commands, push, t)))
+    return Held(hold(plant, state, over, dt, split), goal.after(acting[None])[0], shown, given.instant)
 
 
 class Trajectory(eqx.Module):

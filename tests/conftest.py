@@ -1,5 +1,6 @@
 """What all tests share: double precision, strict shapes and fixed seeds."""
 
+import _socket
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,6 +67,28 @@ def _no_network() -> Iterator[None]:
         for name in ("connect", "connect_ex", "sendto", "bind"):
             patch.setattr(socket.socket, name, refuse)
         yield
+
+
+_REAL = {name: getattr(socket, name) for name in ("getaddrinfo", "create_connection")}
+
+
+@pytest.fixture
+def loopback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what is served on this machine: 127.0.0.1 may be asked for, and nothing else."""
+
+    def only_here(function, place):
+        def call(*arguments, **keywords):
+            host = arguments[place][0] if place else arguments[0]
+            assert host == "127.0.0.1", f"{host} was asked for"
+            return function(*arguments, **keywords)
+
+        return call
+
+    # It asks by the others.
+    monkeypatch.setattr(socket, "create_connection", _REAL["create_connection"])
+    monkeypatch.setattr(socket, "getaddrinfo", only_here(_REAL["getaddrinfo"], 0))
+    for name in ("connect", "bind"):
+        monkeypatch.setattr(socket.socket, name, only_here(getattr(_socket.socket, name), 1))
 
 
 @pytest.fixture(scope="session")

@@ -29,7 +29,7 @@ from jaxmarine.vehicle_io import cause_named
 
 from .shell import exit_code
 
-COMMANDS = ("diagnose", "fleet", "simulate", "fit", "check", "plan", "init", "demo")
+COMMANDS = ("diagnose", "fleet", "simulate", "fit", "check", "plan", "pool", "init", "demo")
 
 
 @pytest.fixture

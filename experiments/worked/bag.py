@@ -22,6 +22,7 @@ _BEGIN = 1_760_000_000  # [s] since 1970
 def _message(kind: str, **given: Any) -> Any:
     """A message, with every number that is not given zero."""
     fields: dict[str, Any] = {}
+    inner: Any
     for name, (nature, inner) in _STORE.fielddefs[kind][1]:
         if name in given:
             fields[name] = given[name]

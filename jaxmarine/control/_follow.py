@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from .._types import Matrix6, Velocity, Wrench
 from ..allocation import Allocation
-from ..physics import Asked, Late, apply, compose, conjugate, rotation, step_lengths
-from ..simulation import Trajectory, hold, substeps
+from ..physics import apply, compose, conjugate, rotation, step_lengths
+from ..simulation import Trajectory, asked, hold, steer, substeps
 from ..vehicle import Input, Plant, State, Vehicle
 from ._path import Reference
 
@@ -114,11 +114,7 @@ def _steer(
     """`_run` through the actuators, whose state goes on from sample to sample; before the first they rest."""
     plant = vehicle.plant()
 
-    def asked(commands: Float[Array, " columns"], dt) -> Asked:
-        now, drive = jax.tree.map(lambda a: a[None], (commands, plant.drive))
-        return Asked.of(drive, Late(now, jnp.zeros_like(now), now), dt[None, None])
-
-    def step(before, now):
+    def one(before, now):
         state, acting = before
         t, dt, wanted, tau, error = now
         seen = state.moved(error)
@@ -126,23 +122,14 @@ def _steer(
             tau = tau + feedback(wanted, seen)
         nu_r = plant.relative(seen.attitude, seen.velocity)
         commands = allocation(plant, tau, nu_r, allocation.begin)
-        goal = asked(commands, dt)
-        given = jax.tree.map(lambda a: a[0], goal.thrust(acting[None]))
-        none = jnp.zeros(6)
-        drive = Input(given.mean, commands, none, t, given.slope, t + 0.5 * dt)
-        shown = plant.readings(state, plant.acceleration(state, Input(given.instant, commands, none, t)))
-        return (hold(plant, state, drive, dt, split), goal.after(acting[None])[0]), (
-            state,
-            shown,
-            tau,
-            commands,
-        )
+        held = steer(plant, state, acting, commands, jnp.zeros(6), t, dt, split)
+        return (held.after, held.acting), (state, held.shown, tau, commands)
 
     steps = step_lengths(reference.t)
     at_rest = jnp.where(np.array(allocation.commanded), 0.0, allocation.begin)
-    begin = start, asked(at_rest, steps[0]).goal[0]
+    begin = start, asked(plant, at_rest, steps[0]).goal[0]
     over = (reference.t, steps, reference.states, wrench, errors)
-    _, (states, channels, applied, commands) = jax.lax.scan(step, begin, over)
+    _, (states, channels, applied, commands) = jax.lax.scan(one, begin, over)
     return Run(Trajectory(reference.t, channels, states), applied, commands)
 
 
