@@ -226,10 +226,13 @@ class _Ledger:
         return self._constants[axis]
 
     def left(self, axis: int) -> float:
-        """Chi-square that a free force on an axis saves."""
-        free = self.y[..., axis]
-        without, best = self.chi2(axis, np.stack([np.zeros_like(free), free])).sum(axis=1)
-        return float(without - best)
+        """Chi-square that a free force on an axis saves beyond a constant."""
+        return float(self._constant(axis).sum() - self.chi2(axis, self.y[None, ..., axis]).sum())
+
+    def constant(self, axis: int) -> float:
+        """Chi-square that a constant force on an axis saves."""
+        without = self.chi2(axis, np.zeros((1, *self.y.shape[:2])))
+        return float(without.sum() - self._constant(axis).sum())
 
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
@@ -330,7 +333,8 @@ def dependences(
         if found and gain.sum() < SMALLEST * found[0].saved:
             break
         left.remove(axis)
-        excess = k.stats.chi2.sum() - freedom - sum(one.saved for one in found)
+        others = sum(one.saved for one in found) + ledger.constant(axis)
+        excess = k.stats.chi2.sum() - freedom - others
         plain = 0.0 < MOST_OF * excess < gain.sum()
         most = bool(gain.sum() > MOST_OF * ledger.left(axis))
         if _sigmas(gain, most) < (SIGMAS_OF_MOST if plain else SIGMAS):
