@@ -1,0 +1,1 @@
+"""A craft that is watched while it is under way."""
