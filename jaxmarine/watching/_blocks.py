@@ -229,8 +229,10 @@ class Bench:
         weight[steep, 3] = weight[steep, 5] = 0.0
         first = len(near.t) - self.steps - 1
         if begun is None:
-            position, turn, nu = track.position[first], quaternions_of(track.attitude[first : first + 1])[0], (
-                track.nu[first]
+            position, turn, nu = (
+                track.position[first],
+                quaternions_of(track.attitude[first : first + 1])[0],
+                (track.nu[first]),
             )
             wrench = np.zeros(len(self.axes))
         else:

@@ -38,6 +38,8 @@ class Account:
     - `message`: what is known where the last block ends, `before`: where the held ones begin.
     - `minus_twice`, `sums`: of the blocks that are held no more; beginnings among them, the last one now.
     - `said`: per block that is held -2 log p, gradient, information.
+    - `learned`: covariance of the logarithms of sizes and memories (`fitting.estimated`).
+    - `gates`: columns of z that act from a time on [s] only.
     """
 
     force: Disturbance
@@ -46,6 +48,8 @@ class Account:
     minus_twice: float
     sums: list[Sum]
     said: tuple[np.ndarray, np.ndarray, np.ndarray]
+    learned: Float[np.ndarray, "logarithms logarithms"]
+    gates: tuple[tuple[tuple[int, ...], float], ...] = ()
 
     def branched(self) -> "Account":
         said = tuple(np.array(one) for one in self.said)

@@ -25,13 +25,13 @@ class Intake:
         self.offset = 0.0
         self.held = np.zeros(len(vehicle.command_names))
         self.driven: bool | None = None
-        self._said: set[str] = set()
+        self.said: set[str] = set()
 
     def once(self, key: str, sentence: str) -> list[str]:
         """The sentence, the first time."""
-        if key in self._said:
+        if key in self.said:
             return []
-        self._said.add(key)
+        self.said.add(key)
         return [sentence]
 
     def take(self, row: Mapping[str, float]) -> tuple[Rows | None, bool, list[str]]:
@@ -72,7 +72,8 @@ class Intake:
         for name, value, limit in zip(names, commands, limits, strict=True):
             if abs(value) > limit * (1 + _ROUNDING):
                 told += self.once(
-                    name, f"Command {name} is {value:g} at t = {t:g} s, beyond {limit:g}; it counts as {limit:g}."
+                    name,
+                    f"Command {name} is {value:g} at t = {t:g} s, beyond {limit:g}; it counts as {limit:g}.",
                 )
         self.held = np.clip(commands, -limits, limits)
         wrench = np.nan_to_num(np.array([_number(row, name) for name in WRENCH]))

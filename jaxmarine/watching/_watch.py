@@ -13,9 +13,7 @@ After Shiryaev and Roberts on quickest detection, and Ville's inequality.
 """
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -23,11 +21,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._precision import need_double
+from .._types import DOFS
 from ..diagnosis import CLOSE
-from ..effects import CATALOGUE, AbstractEffect, place
-from ..fitting import Disturbance, Problem, Windowed, estimated
+from ..effects import CATALOGUE, AbstractEffect, ThrusterGain, place
+from ..fitting import Windowed, estimated
 from ..vehicle import Placed, Vehicle
-from ._blocks import GAP, LONG, Bench, Begun, Rows, Said, expected, passed, replayed
+from ._blocks import GAP, LONG, Begun, Bench, Rows, expected, passed, replayed
 from ._evidence import Account, Member, Since, Sum, Suspicions, since_each, thinned
 from ._rows import Intake
 
@@ -39,13 +38,15 @@ LOOK, PATIENCE = 4, 16
 LEADS = 3.0
 # Rivals with a disturbance of their own each before one is named; those with this share of the best's nats.
 RIVALS, HOPEFUL = 3, 0.5
-# A disturbance beyond this share of the full thrust is none in which a craft can be steered.
-STEERABLE = 0.5
 # False names per day unless it is said otherwise: one in a hundred days.
 FALSE_ALARMS = 0.01
 # Variance of the logarithms of sizes and memories before anything is known of them.
 UNLEARNED = 0.25
 DAY = 86400.0
+# Standard error of an actuator's gain beyond which it counts as not excited.
+TENTH = 0.1
+# Sentences that are remembered.
+MOST_TOLD = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +54,6 @@ class Name:
     """A cause that is named: the suspect, since when (t of the log [s], None: as long as it is watched).
 
     - `at`: when it was named [s]; `nats`: its evidence; `parameters`: value, standard error, unit.
-    - `rivals`: what the rows cannot tell from it; then none of them is certain.
     """
 
     label: str
@@ -61,7 +61,6 @@ class Name:
     at: float
     nats: float
     parameters: Mapping[str, tuple[float, float, str]]
-    rivals: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,8 +68,8 @@ class Status:
     """Where a watch stands.
 
     - `t`: where the last block ends [s]; `blocks`: that were filtered.
-    - `position`, `attitude` (quaternion), `velocity`: the craft's; `wrench`: what disturbs it, axis by axis,
-      `size` and `memory`: as far as usual.
+    - `state`: of the craft, and the wrench that disturbs it on each of `axes`; `size` [N, N m] and `memory` [s]
+      of that, as estimated.
     - `nats`: of each suspect, at its best beginning; `bound`: from which on one is named.
     - `named`; `undecided`: causes of which one is at work, and the rows do not tell which.
     - `unseen`: axes and actuators of which too little was seen to tell what the file says of them.
@@ -87,6 +86,11 @@ class Status:
     named: tuple[Name, ...]
     undecided: tuple[str, ...]
     unseen: tuple[str, ...]
+
+
+def moment_of(since: float | None) -> str:
+    """Since when, in words."""
+    return "for as long as it is watched" if since is None else f"since t = {since:g} s"
 
 
 class Watch:
@@ -140,7 +144,7 @@ class Watch:
         return self._noted(told)
 
     def _noted(self, told: list[str]) -> list[str]:
-        self.told += told
+        self.told = [*self.told, *told][-MOST_TOLD:]
         return told
 
     def _gap(self, t: float) -> list[str]:
@@ -158,7 +162,6 @@ class Watch:
             return
         self.rows, self.waiting = None, []
         self.gap, self.begun, self.within = gap, None, 0
-        self.settled_at = None
 
     def _open(self) -> list[str]:
         """Sizes up the rows once there are enough of them."""
@@ -168,12 +171,18 @@ class Watch:
         rows = Rows.joined(*self.waiting)
         assert self.intake.driven is not None
         log = rows.log(self.vehicle, self.intake.driven, "rows")
-        self._begin(Bench.of(self.vehicle, log, self.catalogue))
-        speeds = np.abs(np.nan_to_num(rows.channels[:, 6:12])).max(axis=0)
-        self.speed = np.maximum(speeds, np.where(np.isfinite(rows.channels[:, 6:12]).any(axis=0), 0.1, 1.0))
+        self.begin(Bench.of(self.vehicle, log, self.catalogue))
+        self._quicker(_speeds(rows))
         return []
 
-    def _begin(self, bench: Bench) -> None:
+    def _quicker(self, speed: np.ndarray) -> None:
+        """Integration steps for these speeds and half as much again, so that they seldom change."""
+        assert self.bench is not None
+        self.speed = np.maximum(self.speed, 1.5 * speed)
+        self.split = self.bench.split(self.speed)
+
+    def begin(self, bench: Bench) -> None:
+        """With nothing known, on what stays the same from block to block."""
         self.bench = bench
         size = bench.layout.size
         self.suspicions = Suspicions(
@@ -182,17 +191,16 @@ class Watch:
         zero = Sum(-np.inf, 0, np.zeros(size), np.zeros((size, size)))
         nothing, most = bench.nothing, 2 * CHUNK
         said = np.zeros(most), np.zeros((most, size)), np.zeros((most, size, size))
-        self.accounts = [Account(bench.usual, nothing, nothing, 0.0, [zero], said)]
+        learned = UNLEARNED * np.eye(2 * len(bench.axes))
+        self.accounts = [Account(bench.usual, nothing, nothing, 0.0, [zero], said, learned)]
         self.windows: Windowed = jax.tree.map(lambda a: np.array([a] * most), bench.empty)
-        self.held, self.blocks, self.since_look, self.estimated_at = 0, 0, 0, 0
+        self.held, self.blocks, self.estimated_at, self.next = 0, 0, 0, 0
         self.begun_at, self.counts = np.zeros(most), np.zeros(most, int)
-        self.learned = UNLEARNED * np.eye(2 * len(bench.axes))
-        self.gap, self.begun, self.within, self.settled_at = LONG, None, 0, None
+        self.gap, self.begun, self.within = LONG, None, 0
         self.table: np.ndarray | None = None
-        self.split_at = np.zeros(6)
-        self.split = 1
-        self.speed = np.full(6, 0.1)
-        self.estimated_once = False
+        self.speed, self.split = np.zeros(6), 1
+        self.estimated_once, self.committed, self.patience = False, 0, PATIENCE
+        self.t = -np.inf
 
     def _wanted(self) -> int:
         """Rows to come before the next block can be filtered."""
@@ -208,7 +216,7 @@ class Watch:
         fresh = Rows.joined(*self.waiting)
         self.waiting = []
         if self.rows is None:
-            self.rows, self.next = fresh, 0
+            self.rows = fresh
             self.next = int(np.searchsorted(fresh.t, fresh.t[0] + bench.settling - 1e-9))
         else:
             self.rows = Rows.joined(self.rows, fresh)
@@ -225,11 +233,9 @@ class Watch:
         bench = self.bench
         assert bench is not None
         own = rows.part(-bench.steps - 1, -1)
-        speed = np.nan_to_num(np.abs(own.channels[:, 6:12])).max(axis=0)
-        if (speed > self.split_at).any():
-            # Ahead by half, so that it seldom changes.
-            self.split_at = np.maximum(self.speed, 1.5 * speed)
-            self.split = bench.split(self.split_at)
+        speed = _speeds(own)
+        if (speed > self.speed).any():
+            self._quicker(speed)
         joined = self.within % bench.whole > 0
         window = bench.window(rows, self.begun, self.gap, joined, self.split)
         k = self.held
@@ -279,6 +285,10 @@ class Watch:
         """Estimates the disturbance of the blocks that are held beside a model, and filters them anew."""
         bench = self.bench
         assert bench is not None
+        gates = self._gates(members)
+        if gates != account.gates:
+            account.gates = gates
+            self._replay(account)
         z = self.suspicions.estimate(self._since(account), members)
         at = len(self.suspicions.base)
         whole = np.zeros((2 * CHUNK, bench.layout.size))
@@ -303,13 +313,27 @@ class Watch:
         joined = self.windows.joined.copy()
         joined[0] = False
         every = dataclasses.replace(self.windows, line=line, end=ends[..., None], gap=gap, joined=joined)
-        force, _, _ = estimated(bench.spread, every, account.force, bench.unit, self.learned)
+        begin = account.force, bench.unit, account.learned
+        force, account.learned, _ = estimated(bench.spread, every, *begin)
         account.force = bench.force(force.size, force.time)
         self._replay(account)
+
+    def _gates(self, members: Sequence[Member]) -> tuple[tuple[tuple[int, ...], float], ...]:
+        """Columns of members that began among the blocks that are held; those of earlier ones are so already."""
+        begun = [m for m in members if m.since >= self.begun_at[0] and self.held]
+        return tuple(
+            (tuple(np.flatnonzero(self.suspicions.columns[m.suspect].any(axis=1)).tolist()), m.since)
+            for m in begun
+        )
 
     def _replay(self, account: Account) -> None:
         """Filters the blocks that are held once more, from where they begin."""
         message = account.before
+        for columns, _ in account.gates:
+            # What has not begun has left no trace.
+            at = np.array(columns)
+            parts = message.mean.at[:, at].set(0.0), message.end.at[:, at].set(0.0)
+            message = dataclasses.replace(message, mean=parts[0], end=parts[1])
         for first in (0, CHUNK):
             count = min(max(self.held - first, 0), CHUNK)
             if count:
@@ -319,23 +343,37 @@ class Watch:
     def _filter(self, account: Account, message, first: int, count: int):
         bench = self.bench
         assert bench is not None
-        part = jax.tree.map(lambda a: a[first : first + CHUNK], self.windows)
+        part: Windowed = jax.tree.map(lambda a: a[first : first + CHUNK], self.windows)
+        for columns, since in account.gates:
+            early, at = self.begun_at[first : first + CHUNK] < since - 1e-9, np.array(columns)
+            residual, end = np.array(part.line.residual), np.array(part.end)
+            residual[np.ix_(early, *map(np.arange, residual.shape[1:3]), at)] = 0.0
+            end[np.ix_(early, np.arange(end.shape[1]), at)] = 0.0
+            part = dataclasses.replace(part, line=dataclasses.replace(part.line, residual=residual), end=end)
         said, message = replayed(message, part, account.force, bench.spread, jnp.asarray(count))
         for kept, new in zip(account.said, said, strict=True):
             kept[first : first + CHUNK] = new
         return message
 
     def _estimate(self) -> None:
-        """The disturbance of the blocks that are held, beside what is named, and beside the leading suspect."""
+        """The disturbance of the blocks that are held, beside what is named, and beside the leading suspect.
+
+        That which leads before a disturbance has grown to what it does, or that which leads beside it then.
+        """
+        leaders = [self._leading()]
         self._beside(self.accounts[0], self.members)
         self.estimated_once, self.estimated_at = True, self.blocks
-        leader = self._leading()
-        if leader is None:
-            del self.accounts[1:]
-            return
-        if len(self.accounts) == 1:
-            self.accounts.append(self.accounts[0].branched())
-        self._beside(self.accounts[1], (*self.members, leader))
+        rivals, likely = [], []
+        latest = self.accounts[-1]
+        del self.accounts[1:]
+        leaders.append(self._leading())
+        for leader in dict.fromkeys(one for one in leaders if one is not None):
+            own = latest.branched()
+            self._beside(own, (*self.members, leader))
+            rivals.append(own)
+            likely.append(self._likelihood(own, self._since(own), (*self.members, leader)))
+        if rivals:
+            self.accounts.append(rivals[int(np.argmax(likely))])
 
     def _commit(self) -> None:
         """Lets the older half of the blocks go; their sums stay."""
@@ -344,6 +382,8 @@ class Watch:
         pinned = [m.since for m in self.members if m.since > -np.inf]
         for account in self.accounts:
             message = self._filter(account, account.before, 0, CHUNK)
+            # What began among these blocks has begun from now on.
+            account.gates = tuple(gate for gate in account.gates if gate[1] >= self.begun_at[CHUNK])
             minus, g, h = account.said
             for k in range(0, CHUNK, bench.whole):
                 here = slice(k, min(k + bench.whole, CHUNK))
@@ -366,7 +406,7 @@ class Watch:
                 kept[CHUNK:] = 0.0
         for kept in (*jax.tree.leaves(self.windows), self.begun_at, self.counts):
             kept[:CHUNK] = kept[CHUNK:]
-        self.held -= CHUNK
+        self.held, self.committed = self.held - CHUNK, self.committed + 1
 
     # --- suspects --------------------------------------------------------------------------------
 
@@ -413,64 +453,73 @@ class Watch:
         since, table = self._weigh()
         self.table = table.max(axis=1)
         if self.table.max() < self.bound:
+            if self.blocks - self.estimated_at >= PATIENCE:
+                self.undecided, self.patience = (), PATIENCE
+            return []
+        if self.estimated_at != self.blocks:
+            if self.blocks - self.estimated_at < self.patience:
+                return []
+            self.patience = min(2 * self.patience, CHUNK)
+            suspected = self._hopeful(since, table)
+            self._estimate()
+        else:
+            suspected = []
+        since, table = self._weigh()
+        self.table = table.max(axis=1)
+        hopeful = {one.suspect: one for one in (*suspected, *self._hopeful(since, table))}
+        return self._decide(list(hopeful.values()))
+
+    def _hopeful(self, since: Sequence[Since], table: np.ndarray) -> list[Member]:
+        """The best suspects, each with its beginning."""
+        best = table.max(axis=1)
+        order = np.argsort(-best)[:RIVALS]
+        some = [int(i) for i in order if best[i] > max(HOPEFUL * best[order[0]], LEADS)]
+        return [Member(i, since[self._best(since, table[i])[0]].t) for i in some]
+
+    def _decide(self, hopeful: Sequence[Member]) -> list[str]:
+        """Names the best suspect, each weighed beside a disturbance of its own, if it is sure."""
+        first = self.accounts[0]
+        level = max(self._likelihood(a, self._since(a), self.members) for a in self.accounts)
+        weighed: dict[int, tuple[float, Member, Account]] = {}
+        for member in hopeful:
+            own = self.accounts[-1].branched()
+            self._beside(own, (*self.members, member))
+            found = [self._worth(account, member.suspect, level) for account in (first, own)]
+            (nats, since), account = max(zip(found, (first, own), strict=True), key=lambda one: one[0][0])
+            weighed[member.suspect] = (nats, Member(member.suspect, since), account)
+        ranked = sorted(weighed, key=lambda i: -weighed[i][0])
+        if not ranked or weighed[ranked[0]][0] < self.bound:
             self.undecided = ()
             return []
-        if self.blocks - self.estimated_at >= PATIENCE:
-            self._estimate()
-            since, table = self._weigh()
-            self.table = table.max(axis=1)
-        elif self.estimated_at != self.blocks:
-            return []
-        return self._decide(since, table)
-
-    def _decide(self, since: Sequence[Since], table: np.ndarray) -> list[str]:
-        """Names the best suspect if it stands beside a disturbance of its own, and so do its rivals theirs."""
-        best = table.max(axis=1)
-        order = np.argsort(-best)
-        hopeful = [int(i) for i in order[:RIVALS] if best[i] > HOPEFUL * best[order[0]]]
-        accounts, weighed = list(self.accounts), {}
-        level = max(self._likelihood(a, self._since(a), self.members) for a in accounts)
-        for i in hopeful:
-            b, _ = self._best(since, table[i])
-            member = Member(i, since[b].t)
-            own = accounts[-1].branched()
-            self._beside(own, (*self.members, member))
-            of = self._since(own)
-            row = self.suspicions.nats(of, self.members)[i] + self._likelihood(own, of, self.members) - level
-            row = np.maximum(row, table[i]) if i == order[0] else row
-            b, nats = self._best(of, row)
-            weighed[i] = (nats, Member(i, of[b].t), own)
-        ranked = sorted(weighed, key=lambda i: -weighed[i][0])
         nats, member, own = weighed[ranked[0]]
-        if nats < self.bound:
-            return []
-        labels = [self._label(i) for i in ranked]
-        close = tuple(
-            label for label, i in zip(labels[1:], ranked[1:], strict=True) if weighed[i][0] > nats - CLOSE / 2
-        )
+        close = tuple(self._label(i) for i in ranked[1:] if weighed[i][0] > nats - CLOSE / 2)
         if close:
-            both = (labels[0], *close)
-            if both == self.undecided:
+            both = (self._label(ranked[0]), *close)
+            if {*both} == {*self.undecided}:
                 return []
             self.undecided = both
             return [
-                f"t = {self.t:g} s: something is wrong, {self._when(member.since)}; it is one of "
-                f"{', '.join(both)}, which these rows do not tell apart ({nats:.0f} nats)."
+                f"t = {self.t:g} s: something is wrong, {moment_of(_time(member))} ({nats:.0f} nats); what it is "
+                f"cannot be told yet, {', '.join(both)} explain it alike."
             ]
-        self.undecided = ()
+        self.undecided, self.patience = (), PATIENCE
         self.members = (*self.members, member)
-        self.accounts = [own]
+        self.accounts = [own if own is not first else first.branched()]
         name = self._named(len(self.members) - 1, nats)
         self.named = (*self.named, name)
         values = ", ".join(f"{k} = {v:.3g} ± {s:.2g}" for k, (v, s, _) in name.parameters.items())
         self.table = self._weigh()[1].max(axis=1)
         return [
-            f"t = {self.t:g} s: {name.label}, {self._when(member.since)}: {values} ({nats:.0f} nats; named "
+            f"t = {self.t:g} s: {name.label}, {moment_of(name.since)}: {values} ({nats:.0f} nats; named "
             f"from {self.bound:.0f})."
         ]
 
-    def _when(self, since: float) -> str:
-        return "for as long as it is watched" if since == -np.inf else f"since t = {since:g} s"
+    def _worth(self, account: Account, suspect: int, level: float) -> tuple[float, float]:
+        """A suspect's nats beside the disturbance of an account, and its beginning; `level`: of none."""
+        since = self._since(account)
+        nats = self.suspicions.nats(since, self.members)[suspect]
+        b, best = self._best(since, nats + self._likelihood(account, since, self.members) - level)
+        return best, since[b].t
 
     def _label(self, i: int) -> str:
         assert self.bench is not None
@@ -491,10 +540,52 @@ class Watch:
             name: (value, float(s), suspect.effect.units[name])
             for (name, value), s in zip(values.items(), std[here], strict=True)
         }
-        begun = None if member.since == -np.inf else member.since
-        return Name(suspect.label, begun, self.t, nats, parameters)
+        return Name(suspect.label, _time(member), self.t, nats, parameters)
 
     # --- what it offers --------------------------------------------------------------------------
+
+    @property
+    def status(self) -> Status:
+        """Where it stands now."""
+        bench = self.bench
+        if bench is None or not self.blocks:
+            names = tuple(DOFS[i] for i in np.flatnonzero(self.vehicle.free))
+            return Status(-np.inf, 0, None, names, (), (), {}, self.bound, self.named, (), ())
+        force = self.accounts[0].force
+        table = np.full(len(bench.layout.suspects), -np.inf) if self.table is None else self.table
+        return Status(
+            self.t,
+            self.blocks,
+            self.begun,
+            tuple(DOFS[axis] for axis in bench.axes),
+            tuple(np.asarray(force.size).tolist()),
+            tuple(np.asarray(force.time).tolist()),
+            {self._label(i): float(n) for i, n in enumerate(table) if np.isfinite(n)},
+            self.bound,
+            self.named,
+            self.undecided,
+            self.unseen,
+        )
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Axes of which the rows tell less than the file does, and actuators whose strength they leave open.
+
+        An axis: of each of its coefficients the rows alone say less than the file's prior. An actuator: the
+        standard error of its gain, all else known, is beyond a tenth.
+        """
+        bench = self.bench
+        if bench is None or not self.held:
+            return ()
+        h = np.diag(self._since(self.accounts[0])[0].h)
+        told = {DOFS[c.place[0]] for c in bench.base if h[c.index] * c.prior**2 > 1.0}
+        out = [DOFS[axis] for axis in bench.axes if DOFS[axis] not in told]
+        for i, suspect in enumerate(bench.layout.suspects):
+            if suspect.effect is ThrusterGain and suspect.target != "all":
+                own = bench.layout.columns[i][:, 0]
+                if h @ own**2 < TENTH**-2:
+                    out.append(str(suspect.target))
+        return tuple(out)
 
     @property
     def extended(self) -> Vehicle:
@@ -507,3 +598,14 @@ class Watch:
             values = {name: value for name, (value, _, _) in now.parameters.items()}
             placed.append(Placed(place(suspect, self.vehicle, values), suspect.target))
         return self.vehicle.place(*placed) if placed else self.vehicle
+
+
+def _time(member: Member) -> float | None:
+    """Since when [s], None: always."""
+    return None if member.since == -np.inf else member.since
+
+
+def _speeds(rows: Rows) -> np.ndarray:
+    """The fastest that rows go on each axis [m/s, rad/s], 1 where that was not measured."""
+    speeds = np.abs(rows.channels[:, 6:12])
+    return np.where(np.isfinite(speeds).any(axis=0), np.nan_to_num(speeds).max(axis=0), 1.0)
