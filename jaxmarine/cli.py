@@ -788,6 +788,7 @@ def watch(
     except KeyboardInterrupt:
         say("Stopped.")
     finally:
+        opened.close()
         if kept is not None:
             kept.close()
         if shown is not None:

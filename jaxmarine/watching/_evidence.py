@@ -22,6 +22,10 @@ OWN = 1e-8
 TRACE = 1e-8
 
 
+# Columns of z, and since when they act [s].
+Gate = tuple[tuple[int, ...], float]
+
+
 class Sum(NamedTuple):
     """What was said until `t` [s]: `count` of measured numbers, gradient and information of z."""
 
@@ -49,7 +53,7 @@ class Account:
     sums: list[Sum]
     said: tuple[np.ndarray, np.ndarray, np.ndarray]
     learned: Float[np.ndarray, "logarithms logarithms"]
-    gates: tuple[tuple[tuple[int, ...], float], ...] = ()
+    gates: tuple[Gate, ...] = ()
 
     def branched(self) -> "Account":
         said = tuple(np.array(one) for one in self.said)

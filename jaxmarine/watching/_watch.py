@@ -27,7 +27,7 @@ from ..effects import CATALOGUE, AbstractEffect, ThrusterGain, place
 from ..fitting import Windowed, estimated
 from ..vehicle import Placed, Vehicle
 from ._blocks import GAP, LONG, Begun, Bench, Rows, expected, passed, replayed
-from ._evidence import Account, Member, Since, Sum, Suspicions, since_each, thinned
+from ._evidence import Account, Gate, Member, Since, Sum, Suspicions, since_each, thinned
 from ._rows import Intake
 
 # Blocks after which sizes and memories are estimated first, and that are judged beside them together at most.
@@ -285,7 +285,7 @@ class Watch:
         """Estimates the disturbance of the blocks that are held beside a model, and filters them anew."""
         bench = self.bench
         assert bench is not None
-        gates = self._gates(members)
+        gates = self._gates(account, members)
         if gates != account.gates:
             account.gates = gates
             self._replay(account)
@@ -318,18 +318,31 @@ class Watch:
         account.force = bench.force(force.size, force.time)
         self._replay(account)
 
-    def _gates(self, members: Sequence[Member]) -> tuple[tuple[tuple[int, ...], float], ...]:
-        """Columns of members that began among the blocks that are held; those of earlier ones are so already."""
-        begun = [m for m in members if m.since >= self.begun_at[0] and self.held]
-        return tuple(
-            (tuple(np.flatnonzero(self.suspicions.columns[m.suspect].any(axis=1)).tolist()), m.since)
-            for m in begun
-        )
+    def _gates(self, account: Account, members: Sequence[Member]) -> tuple[Gate, ...]:
+        """Columns of members that began among the blocks that are held, or did so when these were held."""
+        found = [(self._columns(m.suspect), m.since) for m in members if m.since > -np.inf]
+        early = self.begun_at[0]
+        return tuple(gate for gate in found if gate[1] >= early or gate in account.gates)
+
+    def _columns(self, suspect: int) -> tuple[int, ...]:
+        return tuple(np.flatnonzero(self.suspicions.columns[suspect].any(axis=1)).tolist())
+
+    def _nats(self, account: Account, since: Sequence[Since]) -> np.ndarray:
+        """Nats beside what is named; what only acts from a time on in an account cannot have begun before."""
+        nats = self.suspicions.nats(since, self.members)
+        begun = np.array([one.t for one in since])
+        for columns, gate in account.gates:
+            for i in range(len(nats)):
+                if {*columns} & {*self._columns(i)}:
+                    nats[i, begun < gate - 1e-9] = -np.inf
+        return nats
 
     def _replay(self, account: Account) -> None:
         """Filters the blocks that are held once more, from where they begin."""
         message = account.before
-        for columns, _ in account.gates:
+        for columns, since in account.gates:
+            if since < self.begun_at[0]:
+                continue
             # What has not begun has left no trace.
             at = np.array(columns)
             parts = message.mean.at[:, at].set(0.0), message.end.at[:, at].set(0.0)
@@ -382,8 +395,6 @@ class Watch:
         pinned = [m.since for m in self.members if m.since > -np.inf]
         for account in self.accounts:
             message = self._filter(account, account.before, 0, CHUNK)
-            # What began among these blocks has begun from now on.
-            account.gates = tuple(gate for gate in account.gates if gate[1] >= self.begun_at[CHUNK])
             minus, g, h = account.said
             for k in range(0, CHUNK, bench.whole):
                 here = slice(k, min(k + bench.whole, CHUNK))
@@ -432,7 +443,8 @@ class Watch:
             for account, since in zip(self.accounts, sums, strict=True)
         ]
         tables = [
-            self.suspicions.nats(since, self.members) + one for since, one in zip(sums, level, strict=True)
+            self._nats(account, since) + one
+            for account, since, one in zip(self.accounts, sums, level, strict=True)
         ]
         return sums[0], np.max(tables, axis=0) - max(level)
 
@@ -517,7 +529,7 @@ class Watch:
     def _worth(self, account: Account, suspect: int, level: float) -> tuple[float, float]:
         """A suspect's nats beside the disturbance of an account, and its beginning; `level`: of none."""
         since = self._since(account)
-        nats = self.suspicions.nats(since, self.members)[suspect]
+        nats = self._nats(account, since)[suspect]
         b, best = self._best(since, nats + self._likelihood(account, since, self.members) - level)
         return best, since[b].t
 

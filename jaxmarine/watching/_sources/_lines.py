@@ -8,6 +8,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..._errors import InputError
 from ..._files import did_you_mean, existing_file, listed
 from ..._types import CHANNELS, WRENCH
@@ -70,7 +72,7 @@ class Table:
         raw = dict(zip(self.header, cells, strict=True))
         row = {name: _float(raw[name]) for name in self.header if name in self.known}
         for name, one in self.sources.items():
-            row[name] = float(one(_float(raw[one.source])))  # pyright: ignore[reportArgumentType]
+            row[name] = float(one(np.array(_float(raw[one.source]))))
         return row
 
     def _check(self, header: list[str]) -> None:
@@ -118,6 +120,9 @@ class Growing:
             self.table.feed(file.readline())  # the names of the columns
         self.taken = place
 
+    def close(self) -> None:
+        """Nothing is held open."""
+
     def take(self, wait: float) -> list[Row] | None:
         until = time.monotonic() + wait
         while True:
@@ -152,6 +157,9 @@ class Piped:
 
     def go_on(self, place: int) -> None:
         """What was sent meanwhile is lost, and shows as a gap."""
+
+    def close(self) -> None:
+        """Nothing is held open."""
 
     def take(self, wait: float) -> list[Row] | None:
         if not select.select([sys.stdin.fileno()], [], [], wait)[0]:

@@ -15,6 +15,7 @@ from ..._errors import InputError
 from ..._extras import need
 from ..._types import WRENCH
 from ...logs import ColumnMap
+from ...logs._columns import ColumnSource
 from ...vehicle import Vehicle
 from ._source import Row
 
@@ -49,7 +50,7 @@ class Mavlink:
                 "leave [frame], groups, quaternions and places out of the column map."
             )
         self.dt = columns.time.dt or _DT
-        self.fields: dict[str, list[tuple[str, str, object]]] = {}
+        self.fields: dict[str, list[tuple[str, str, ColumnSource]]] = {}
         for contract, one in sources.items():
             head, _, field = one.source.partition(".")
             self.fields.setdefault(head, []).append((contract, field, one))
@@ -64,6 +65,9 @@ class Mavlink:
 
     def go_on(self, place: int) -> None:
         """What was sent meanwhile is lost, and shows as a gap."""
+
+    def close(self) -> None:
+        self.link.close()
 
     def take(self, wait: float) -> list[Row] | None:
         rows: list[Row] = []
@@ -96,7 +100,7 @@ class Mavlink:
         for contract, field, one in self.fields[kind]:
             value = getattr(message, field, None)
             if isinstance(value, int | float) and cell > self.out:
-                self.cells.setdefault(cell, {})[contract] = float(one(value))  # pyright: ignore
+                self.cells.setdefault(cell, {})[contract] = float(one(np.array(value)))
             elif value is None:
                 sentence = f"{self.name}: {kind} has no field `{field}`; see the column map."
                 self.told += [] if sentence in self.told else [sentence]

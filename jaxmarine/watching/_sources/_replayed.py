@@ -25,6 +25,9 @@ class Replayed:
     def go_on(self, place: int) -> None:
         self.place = place
 
+    def close(self) -> None:
+        """Nothing is held open."""
+
     def take(self, wait: float) -> list[Row] | None:
         del wait
         log, here = self.log, range(self.place, min(self.place + _SOME, len(self.log.t)))
