@@ -40,6 +40,8 @@ def loopback(monkeypatch):
         lambda host, port, *_, **__: [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (host, port))],
     )
 
+    monkeypatch.setattr(socket, "gethostbyname", lambda host: host)
+
     def connection(address, timeout=None, *_, **__):
         made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         made.settimeout(5.0)

@@ -24,7 +24,8 @@ from jaxmarine.watching._evidence import KEPT, Account, Member, Sum, Suspicions,
 from tests.boats import NOISE, boat, record, steps
 
 SMALL = (ThrusterGain, ConstantWrench, LinearDamping, QuadraticDamping)
-WEAK, SINCE, SAMPLES, DT = 0.6, 48.0, 800, 0.1
+# Blocks are let go, and a snapshot written, after 80 s.
+WEAK, SINCE, SAMPLES, DT = 0.6, 48.0, 1000, 0.1
 
 
 def rows_of(log: Log):
@@ -159,17 +160,17 @@ def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, 
     first, kept = Watch(boat(), catalogue=SMALL), Kept(tmp_path / "state")
     kept.opened(first)
     # Beyond the first snapshot, in the middle of a line of the journal.
-    for k, row in enumerate(rows[:730]):
+    for k, row in enumerate(rows[:930]):
         kept.add(row, [k, 0])
         first.update(row)
         kept.after(first, [k, 0])
     assert (tmp_path / "state").exists()
     with (tmp_path / "state.rows").open("ab") as file:
-        file.write(b'[1, [730, 0], {"t": 7')
+        file.write(b'[1, [930, 0], {"t": 7')
     second = Watch(boat(), catalogue=SMALL)
     _, place_of_source = Kept(tmp_path / "state").opened(second)
-    assert place_of_source == [729, 0]
-    for row in rows[730:]:
+    assert place_of_source == [929, 0]
+    for row in rows[930:]:
         second.update(row)
     whole, again = watched[0].status, second.status
     assert [(n.label, n.since, n.at) for n in again.named] == [(n.label, n.since, n.at) for n in whole.named]

@@ -37,7 +37,7 @@ class History:
         self.moments: deque[tuple[float, dict[str, float]]] = deque()
 
     def add(self, status: Status) -> None:
-        if self.moments and self.moments[-1][0] >= status.t:
+        if not status.nats or (self.moments and self.moments[-1][0] >= status.t):
             return
         best = sorted(status.nats.items(), key=lambda item: -item[1])[:SHOWN]
         named = {name.label: name.nats for name in status.named}

@@ -72,7 +72,7 @@ class Table:
         raw = dict(zip(self.header, cells, strict=True))
         row = {name: _float(raw[name]) for name in self.header if name in self.known}
         for name, one in self.sources.items():
-            row[name] = float(one(np.array(_float(raw[one.source]))))
+            row[name] = float(one(np.array([_float(raw[one.source])]))[0])
         return row
 
     def _check(self, header: list[str]) -> None:

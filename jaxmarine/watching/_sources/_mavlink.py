@@ -5,6 +5,7 @@ row, a command holds. A row is complete once a message has come that is later th
 """
 
 import contextlib
+import datetime
 import io
 import time
 from collections.abc import Mapping
@@ -25,6 +26,8 @@ _DT, _LATE = 0.1, 0.5
 _TIMES = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 # A message that is earlier than rows that are out by more than this tells of a clock that was set [s].
 _SET_BACK = 2.0
+# The row before all rows.
+_NEVER = -(10**18)
 # Messages that are handed on at once.
 _SOME = 1000
 
@@ -60,8 +63,9 @@ class Mavlink:
         self.clocks: dict[str, float] = {}
         self.cells: dict[int, dict[str, float]] = {}
         self.commands: dict[str, float] = {}
-        self.out = -(10**18)
+        self.out = _NEVER
         self.newest = -np.inf
+        self.zero: int | None = None
 
     def go_on(self, place: int) -> None:
         """What was sent meanwhile is lost, and shows as a gap."""
@@ -94,13 +98,13 @@ class Mavlink:
         rows: list[Row] = []
         if t < self.newest - _SET_BACK:
             rows = self._flushed()
-            self.out, self.newest = -(10**18), -np.inf
+            self.out, self.newest = _NEVER, -np.inf
         self.newest = max(self.newest, t)
         cell = round(t / self.dt)
         for contract, field, one in self.fields[kind]:
             value = getattr(message, field, None)
             if isinstance(value, int | float) and cell > self.out:
-                self.cells.setdefault(cell, {})[contract] = float(one(np.array(value)))
+                self.cells.setdefault(cell, {})[contract] = float(one(np.array([float(value)]))[0])
             elif value is None:
                 sentence = f"{self.name}: {kind} has no field `{field}`; see the column map."
                 self.told += [] if sentence in self.told else [sentence]
@@ -123,7 +127,11 @@ class Mavlink:
             self.out = cell
             # Before every command is known there is nothing to simulate by.
             if {name for name in self.held if name in self._mapped} <= {*self.commands}:
-                rows.append({"t": cell * self.dt} | dict(found) | self.commands)
+                if self.zero is None:
+                    self.zero = cell
+                    start = datetime.datetime.fromtimestamp(cell * self.dt, datetime.UTC)
+                    self.told.append(f"Time 0 is {start:%Y-%m-%d %H:%M:%S.%f} UTC.")
+                rows.append({"t": (cell - self.zero) * self.dt} | dict(found) | self.commands)
         return rows
 
     @property
