@@ -49,7 +49,7 @@ def curve(command: Float[np.ndarray, " commands"]) -> Float[np.ndarray, " comman
     """Thrust of the fouled propeller over that of a clean one at full command.
 
     A dead zone as in Bessa et al. (2006), unequal ahead and astern, and a power of the command between
-    the linear and the quadratic law of Fossen (2021), sec. 9.1. The numbers are made up.
+    the linear and the quadratic law, after Fossen (2021). The numbers are made up.
     """
     beyond = np.maximum(np.abs(command) - DEAD, 0.0) / (1.0 - DEAD)
     return np.where(command > 0, AHEAD, -ASTERN) * beyond**POWER

@@ -81,7 +81,7 @@ class AdvanceLoss(ScalarEffect):
 
     Per thruster, c its command, u_c = u - y r at its place (0, y). Unlike `inflow_loss`, where thrust falls
     in either direction, a propeller that pushes astern while the boat moves ahead gains.
-    Source: Fossen (2021), sec. 9.2: T = T_nn n|n| - T_nu |n| u_a.
+    Source: after Fossen (2021): T = T_nn n|n| - T_nu |n| u_a.
     """
 
     name = "advance_loss"
@@ -99,7 +99,7 @@ class AdvanceLoss(ScalarEffect):
 class SteadyWind(ScalarEffect):
     """A push in surge that is constant in earth axes: X = north cos(psi) + east sin(psi). Neutral: 0.
 
-    Source: Fossen (2021), sec. 10.1, for a wind far faster than the boat. Sway is left out: its push is
+    Source: after Fossen (2021), for a wind far faster than the boat. Sway is left out: its push is
     below what the runs show.
     """
 
@@ -120,7 +120,7 @@ class SurgeDrag(WrenchEffect):
 
     D is linear between the knots and constant beyond the last, where no run says anything; astern is as
     ahead. Being exponentials, its values are positive: the drag dissipates at every speed.
-    Source: wave resistance has humps and hollows over the Froude number (Faltinsen 2005, ch. 4), and the
+    Source: wave resistance has humps and hollows over the Froude number (after Faltinsen 2005), and the
     published surge damping changes its law with the speed. The shape stands for all that goes with the
     speed and is not in the other terms, the propellers' among it.
     """

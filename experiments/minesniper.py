@@ -5,8 +5,9 @@ usage: python -m experiments.minesniper --out DIR [--seeds N] [--quick]
 The measured runs of the thesis are not public, so a synthetic craft stands for them: the packaged
 Minesniper with its sliding mass and another damping than the printed (7.5). Logs hold commands, position and
 attitude only. Six radial-basis networks are grown on the force that the printed damping lacks; least squares
-of the same force and a trajectory-loss fit of the printed form stand beside them. Open-loop predictions of
-the training runs and of a test run, which goes where training did not, are compared with where the craft was.
+of the same force and a trajectory-loss fit, both of the printed form, stand beside them, and perceptrons and
+radial-basis networks that stand alone for the whole damping. Open-loop predictions of the training runs and
+of a test run, which goes where training did not, are compared with where the craft was.
 """
 
 import dataclasses
@@ -34,8 +35,9 @@ from experiments._study import save_figure, spread, study, write_results
 from jaxmarine._types import DOFS
 from jaxmarine.effects import Motion, place
 from jaxmarine.fitting import noise_of
+from jaxmarine.fitting._subnets import train_damping
 from jaxmarine.logs import Kinematics, differentiate
-from jaxmarine.networks import RBFDamping, basis_of, grow, rbf_damping
+from jaxmarine.networks import NetworkDamping, RBFDamping, basis_of, grow, rbf_damping
 from jaxmarine.physics import Slider, from_euler
 from jaxmarine.simulation import inputs
 from jaxmarine.vehicle_io import suspect_named
@@ -54,7 +56,7 @@ PRINTED_LINEAR[2, 4], PRINTED_LINEAR[4, 2] = 30.0, 27.0
 PRINTED_QUADRATIC = np.diag([7.0, 100.0, 250.0, 50.0, 90.0, 90.0])
 
 # The synthetic craft, assumed: more drag ahead, less linear and more quadratic drag in sway, and body lift of
-# a torpedo hull by Prestero (2001), sec. 4: c = 1.2 on the frontal square of 0.17 m, at 0.32 m behind `o`.
+# a torpedo hull after Prestero (2001): c = 1.2 on the frontal square of 0.17 m, at 0.32 m behind `o`.
 TRUE_LINEAR = np.diag([2.0, 50.0, 50.0, 0.6, 16.0, 14.0])
 TRUE_LINEAR[1, 5], TRUE_LINEAR[5, 1] = -8.0, -12.0
 TRUE_LINEAR[2, 4], TRUE_LINEAR[4, 2] = 12.0, 10.0
@@ -70,22 +72,32 @@ STICKS = ((0.35, 0.65), (-0.4, 0.4), (-0.4, 0.4), (-0.5, 0.5))
 TEST_STICKS = ((0.2, 1.0), (-0.8, 0.8), (-0.9, 0.9), (-0.9, 0.9))
 SPEED, TEST_SPEED = 0.9, 0.5  # [m/s] at the start
 
-PRINTED, RBF, LS = "printed damping (7.5)", "RBF beside (7.5)", "least squares"
+PRINTED, RBF, LS = "printed damping (7.5)", "RBF beside (7.5)", "least squares, form of (7.5)"
 FIT, TRUE = "trajectory loss", "true damping"
-STYLES = {PRINTED: ("C1", "-"), RBF: ("C0", "--"), FIT: ("C2", "-."), LS: ("C3", ":"), TRUE: ("0.6", "-")}
+# What sec. 7.1 warns of, and fig. 7.3: networks that stand for the whole damping.
+PERCEPTRON, ALONE = "perceptrons alone (7.1)", "RBF alone (fig. 7.3)"
+STYLES = {PRINTED: ("C1", "-"), PERCEPTRON: ("C4", ":"), ALONE: ("C5", "--"), RBF: ("C0", "--")}
+STYLES |= {FIT: ("C2", "-."), LS: ("C3", ":"), TRUE: ("0.6", "-")}
+# What left-out stretches choose the ridge among: a share of the squares of each column.
+RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class Size:
-    """Lengths of the two training runs and of the test run [s], seconds between starts, steps of the fit."""
+    """Lengths of the two training runs and of the test run [s], seconds between starts, steps of the fit.
+
+    - `alone`: with the networks that stand for the whole damping.
+    """
 
     train: float = 25.0
     test: float = 15.0
     between: float = 2.5
     steps: int = 30
+    alone: bool = True
 
 
-QUICK = Size(train=10.0, test=10.0, steps=15)
+QUICK = Size(train=10.0, test=10.0, steps=15, alone=False)
+HERE = Path(__file__).parent / "sniper"
 
 
 # --- craft and logs ------------------------------------------------------------------------------
@@ -166,11 +178,51 @@ def lacking(vehicle: jm.Vehicle, run: Run) -> Float[np.ndarray, "times 6"]:
     return np.asarray(_lacking(vehicle, *map(jnp.asarray, parts)))
 
 
-def least_squares(nu: np.ndarray, force: np.ndarray) -> jm.Vehicle:
-    """The printed damping and what an unconstrained fit of its full matrices adds to it."""
+def ridged(nu: np.ndarray, force: np.ndarray, ridge: float) -> Float[np.ndarray, "6 12"]:
+    """Linear and quadratic damping that the force lacks, in the pattern of (7.5), with a ridge."""
     columns = np.concatenate([nu, np.abs(nu) * nu], axis=1)
-    weights = np.linalg.lstsq(columns, force, rcond=None)[0].T
-    return craft(PRINTED_LINEAR - weights[:, :6], PRINTED_QUADRATIC - weights[:, 6:])
+    out = np.zeros((6, 12))
+    for axis, there in enumerate(np.concatenate([PRINTED_LINEAR, PRINTED_QUADRATIC], axis=1) != 0):
+        own = columns[:, there]
+        size = np.maximum(np.sqrt((own**2).sum(axis=0)), 1e-12)  # an axis may be idle
+        design = np.concatenate([own / size, np.sqrt(ridge) * np.eye(len(size))])
+        right = np.concatenate([force[:, axis], np.zeros(len(size))])
+        out[axis, there] = np.linalg.lstsq(design, right, rcond=None)[0] / size
+    return out
+
+
+def least_squares(nu: np.ndarray, force: np.ndarray, parts: np.ndarray) -> tuple[jm.Vehicle, float]:
+    """The printed damping and what least squares add to its own numbers, and the ridge.
+
+    It is the one that predicts the force on stretches of the training runs best that are left out, in shares
+    of each axis' own spread.
+    """
+    columns, size = np.concatenate([nu, np.abs(nu) * nu], axis=1), np.sqrt((force**2).mean(axis=0))
+
+    def left_out(ridge: float) -> float:
+        errors = [
+            columns[parts == part] @ ridged(nu[parts != part], force[parts != part], ridge).T
+            - force[parts == part]
+            for part in np.unique(parts)
+        ]
+        return float(((np.concatenate(errors) / size) ** 2).mean())
+
+    ridge = min(RIDGES, key=left_out)
+    found = ridged(nu, force, ridge)
+    return craft(PRINTED_LINEAR - found[:, :6], PRINTED_QUADRATIC - found[:, 6:]), ridge
+
+
+def alone(runs: Sequence[Run], parts: np.ndarray, seed: int) -> dict[str, jm.Vehicle]:
+    """The whole damping (7.3) as six perceptrons, and as six radial-basis networks, with none beside."""
+    bare = craft(np.zeros((6, 6)), np.zeros((6, 6)))
+    nu = np.concatenate([run.motion.nu for run in runs])
+    force = np.concatenate([lacking(bare, run) for run in runs])
+    networks, _ = train_damping(jnp.asarray(nu), jnp.asarray(-force), jax.random.key(seed))
+    terms = {
+        PERCEPTRON: NetworkDamping(networks=networks, inputs=DOFS),
+        ALONE: rbf_damping(DOFS, nu, force, parts),
+    }
+    return {name: bare.place(jm.Placed(term)) for name, term in terms.items()}
 
 
 def trajectory_loss(vehicle: jm.Vehicle, runs: Sequence[Run], steps: int) -> jm.Fit:
@@ -192,7 +244,9 @@ def stretches(log: jm.Log) -> np.ndarray:
     return np.arange(len(log.t)) * max(2, round(log.duration / STRETCH)) // len(log.t)
 
 
-def identified(runs: Sequence[Run], steps: int) -> tuple[dict[str, jm.Vehicle], RBFDamping, dict[str, Any]]:
+def identified(
+    runs: Sequence[Run], size: Size, seed: int
+) -> tuple[dict[str, jm.Vehicle], RBFDamping, dict[str, Any]]:
     """The vehicles to be compared, the networks, and what their making tells."""
     printed = craft(PRINTED_LINEAR, PRINTED_QUADRATIC)
     nu = np.concatenate([run.motion.nu for run in runs])
@@ -201,16 +255,19 @@ def identified(runs: Sequence[Run], steps: int) -> tuple[dict[str, jm.Vehicle], 
     began = time.process_time()
     term = rbf_damping(DOFS, nu, force, parts)
     grown = time.process_time() - began
-    fit = trajectory_loss(printed, runs, steps)
+    fit = trajectory_loss(printed, runs, size.steps)
+    squares, ridge = least_squares(nu, force, parts)
     vehicles = {
         PRINTED: printed,
-        LS: least_squares(nu, force),
+        **(alone(runs, parts, seed) if size.alone else {}),
+        LS: squares,
         RBF: printed.place(jm.Placed(term)),
         FIT: fit.vehicle,
         TRUE: truth(),
     }
     notes = {
         "rbf_choice_cpu_s": grown,
+        "ridge": ridge,
         "rbf_width": np.asarray(term.width).tolist(),
         "rbf_reach": np.asarray(term.reach).tolist(),
         "rbf_centres": (np.asarray(term.weights) != 0).sum(axis=1).tolist(),
@@ -237,7 +294,29 @@ def five_hundred(nu: np.ndarray, force: np.ndarray) -> dict[str, Any]:
         left = np.array([g.predicted(basis[:, g.order]) - y[:, [a]] for a, g in enumerate(grown)])
         rms = np.sqrt((left**2).mean(axis=(0, 1)))
         out[f"residual_{name}_60"], out[f"residual_{name}_all"] = float(rms[59]), float(rms[-1])
+    out["residual_worst_sample_60"] = by_worst_sample(nu / nu.std(axis=0), y, None)
+    out["residual_worst_sample_raw_60"] = by_worst_sample(nu, y, np.sqrt(5.0))
     return out
+
+
+def by_worst_sample(x: np.ndarray, y: np.ndarray, fixed: float | None, most: int = 60) -> float:
+    """Growth as sec. 2.1.3 prints it, a centre at the sample of the worst error; width fixed, or by (2.2).
+
+    The rms of the relative residual on the samples that they were grown on, at 60 centres.
+    """
+    left = []
+    for right in y.T:
+        chosen, error = [], right
+        for count in range(1, most + 1):
+            chosen.append(int(np.argmax(np.abs(error))))
+            own = x[chosen]
+            apart = np.linalg.norm(own[:, None] - own[None], axis=-1).max()
+            # One centre has no distance to another: one of the inputs' own scatter stands for it.
+            width = (apart or 1.0) / np.sqrt(2.0 * count) if fixed is None else fixed
+            columns = np.exp(-((x[:, None] - own[None]) ** 2).sum(axis=-1) / (2.0 * width**2))
+            error = right - columns @ np.linalg.lstsq(columns, right, rcond=None)[0]
+        left.append((error**2).mean())
+    return float(np.sqrt(np.mean(left)))
 
 
 # --- predictions ---------------------------------------------------------------------------------
@@ -301,7 +380,7 @@ def trial(seed: int, size: Size) -> Trial:
     rng, vehicle = np.random.default_rng(seed), truth()
     train = [recorded(vehicle, f"train {k}", size.train, False, rng) for k in (1, 2)]
     test = recorded(vehicle, "test", size.test, True, rng)
-    vehicles, term, numbers = identified(train, size.steps)
+    vehicles, term, numbers = identified(train, size, seed)
     error = {
         what: {name: errors(v, runs, size.between) for name, v in vehicles.items()}
         for what, runs in (("train", train), ("test", [test]))
@@ -371,22 +450,23 @@ def claims(results: Sequence[dict]) -> dict[str, Any]:
     }
 
 
+def table(results: Sequence[dict]) -> str:
+    """The errors of all models."""
+    lines = ["| model | training, 5 s | training, 10 s | test, 5 s | test, 10 s |", "|---|---|---|---|---|"]
+    for name in STYLES:
+        if name in results[0]["error_m"]["test"]:
+            cells = [told(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def markdown(results: Sequence[dict]) -> str:
     """The errors of all models, and the claims beside what was found."""
-    lines = [
-        f"Position error [m], median over {len(results)} seeds (lowest to highest).",
-        "",
-        "| model | training, 5 s | training, 10 s | test, 5 s | test, 10 s |",
-        "|---|---|---|---|---|",
-    ]
-    for name in STYLES:
-        cells = [told(gathered(results, w, name, h)) for w in ("train", "test") for h in ("5 s", "10 s")]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines = [f"Position error [m], median over {len(results)} seeds (lowest to highest).", "", table(results)]
     found = claims(results)
     negative = found["seeds_with_negative_damping_at_rest"]
     worst = {key: max(found[f"{key}_rbf_over_printed"]) for key in ("train_10_s", "test_5_s", "test_10_s")}
     lines += [
-        "",
         "| thesis, sec. 7.2, and bars | found here |",
         "|---|---|",
         "| fig. 7.3: RBF predicts the training runs correctly up to 10 s; bar: a quarter of (7.5) | "
@@ -407,6 +487,9 @@ def markdown(results: Sequence[dict]) -> str:
         "| scaled inputs, width 2: the same | "
         f"{told([r['residual_scaled_60'] for r in results])}, "
         f"{told([r['residual_scaled_all'] for r in results])} |",
+        "| growth by the worst sample, 60 centres: scaled inputs and (2.2); raw inputs, width sqrt(5) | "
+        f"{told([r['residual_worst_sample_60'] for r in results])}, "
+        f"{told([r['residual_worst_sample_raw_60'] for r in results])} |",
         "| (7.5): a damping matrix | least eigenvalue of its linear part's symmetric part "
         f"{found['least_eigenvalue_of_printed_linear']:.3f}: not dissipative |",
     ]
@@ -460,7 +543,8 @@ def horizons(out: Path, trials: Sequence[Trial]) -> None:
     """Error over the horizon, median over seeds, training and test."""
     plot, axes = plt.subplots(1, 2, figsize=(10.0, 4.0), sharey=True)
     for ax, what in zip(axes, ("train", "test"), strict=True):
-        for name, (color, style) in STYLES.items():
+        for name in trials[0].vehicles:
+            color, style = STYLES[name]
             # Where half of the predictions have run away, the line ends.
             paths = np.nan_to_num(np.array([t.error[what][name] for t in trials]), nan=np.inf)
             ax.semilogy(

@@ -76,8 +76,8 @@ class CrossFlow(ScalarEffect):
 
     - `per_length` k [N s²/m³]: rho T C_D / 2 with draft T; over the length of 1.255 m.
 
-    A product of |v + x r|, which no |v| v and |r| r add up to. Source: Faltinsen (1990), ch. 6, and Fossen
-    (2021), sec. 6.4 (strip theory). With T = 0.08 m and C_D = 0.7 it has the sway drag of the file.
+    A product of |v + x r|, which no |v| v and |r| r add up to. Source: strip theory, after
+    Faltinsen (1990) and Fossen (2021). With T = 0.08 m and C_D = 0.7 it has the sway drag of the file.
     """
 
     name = "cross_flow"
@@ -96,7 +96,7 @@ class CrossFlow(ScalarEffect):
 class WaveDrag(ScalarEffect):
     """Surge drag with the fourth power of the speed: X = -coefficient |u|³ u. Neutral: 0.
 
-    Source: wave resistance grows far faster than with the square below its hump; Faltinsen (2005), ch. 4.
+    Source: wave resistance grows far faster than with the square below its hump; after Faltinsen (2005).
     """
 
     name = "wave_drag"
@@ -117,7 +117,7 @@ class Pod(ScalarEffect):
 
     - `area_drag` [N s²/m²]: rho d h / 2 of diameter d and height h; 0.06 m high it is 7.7.
 
-    Source: Achenbach (1971), J. Fluid Mech. 46, 321-335 (rough cylinders); Hoerner (1965), ch. 3.
+    Source: after Achenbach (1971), J. Fluid Mech. 46, 321-335 (rough cylinders); Hoerner (1965).
     """
 
     name = "pod"

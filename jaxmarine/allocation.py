@@ -39,7 +39,7 @@ def allocate(
 
     Of thrusters alone the least thrusts in the sense of least squares, as shares of `max_thrust`, by the
     pseudo-inverse, and the commands that give them with `max_thrust_reverse` and `quadratic`, clipped to the
-    vehicle's limits, whatever the flow. Fossen (2021), sec. 11.2.
+    vehicle's limits, whatever the flow. After Fossen (2021).
 
     With other actuators the forces are linearised at the velocity and the commands, and the least changes of
     commands are taken, as shares of their usual range, a few times. That is singular where a column moves

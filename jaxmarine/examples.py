@@ -22,7 +22,7 @@ STRENGTH = 0.6
 def operator(
     count: int, t: Float[np.ndarray, " times"], seed: int, strength: float = STRENGTH
 ) -> Float[np.ndarray, "times thrusters"]:
-    """Commands of an operator who holds each stick for some seconds and slews within 0.3 s (thesis 5.3.1).
+    """Commands of an operator who holds each stick for some seconds and slews within 0.3 s.
 
     - `count` thrusters in neighbouring pairs, which an operator moves together or against each other.
     """

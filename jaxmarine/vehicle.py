@@ -389,7 +389,7 @@ class Plant(eqx.Module):
         """Inverse dynamics: the wrench that is missing for the acceleration `nu_dot` under the given input.
 
         `M_RB nu' + C_RB nu + M_A nu_r' + C_A nu_r + D nu_r + g - tau - (wrenches of effects)`, zero on
-        the free axes where `nu_dot` is the acceleration of this vehicle. Fossen (2021), eq. 10.124, with
+        the free axes where `nu_dot` is the acceleration of this vehicle. After Fossen (2021), with
         `nu_r' = nu' + (w x R' v_c, 0)` for a current that is steady in earth axes. The Coriolis term
         of the added mass uses the symmetric part of its matrix, which alone has kinetic energy. A sliding
         mass adds `V nu + b` (`Slider.reaction`), and M_RB and g have it where it is.

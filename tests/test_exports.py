@@ -276,7 +276,7 @@ def test_the_module_for_python_vehicle_simulator_moves_as_simulate(name, tmp_pat
         places.append(np.append(eta, nu))
         for _ in range(round(T[1] / dt)):
             turned = Rotation.from_euler("ZYX", eta[5:2:-1])
-            # Fossen (2021), eq. 2.28: rates of roll, pitch and yaw.
+            # After Fossen (2021): rates of roll, pitch and yaw.
             tan, cos = np.tan(eta[4]), np.cos(eta[4])
             sin_phi, cos_phi = np.sin(eta[3]), np.cos(eta[3])
             rows = [

@@ -88,7 +88,7 @@ def test_three_axes_agree_with_regressors_written_out_in_numpy():
     u, v, r = log.channels[:, [6, 7, 11]].T
     du, dv, dr = log.channels[:, [12, 13, 17]].T
     port, starboard, bow = log.commands.T * np.array([[40.0], [40.0], [30.0]])
-    # M = [[55, 0, 0], [0, 90, 2], [0, 2, 11]]; C nu after Fossen (2021), eq. 6.44.
+    # M = [[55, 0, 0], [0, 90, 2], [0, 2, 11]]; C nu after Fossen (2021).
     surge = port + starboard - (55 * du - (90 * v + 2 * r) * r)
     sway = bow - (90 * dv + 2 * dr + 55 * u * r)
     yaw = 0.3 * (port - starboard) + 0.5 * bow - (2 * dv + 11 * dr + (90 * v + 2 * r) * u - 55 * u * v)

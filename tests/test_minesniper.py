@@ -13,6 +13,8 @@ from jaxmarine.logs import Kinematics
 from jaxmarine.networks import RBFDamping
 from tests.crafts import packaged
 
+from .conftest import ROOT
+
 
 def test_the_packaged_damping_is_the_printed_one_made_dissipative():
     """Thesis (7.5); its linear part is symmetric in the file, and was not dissipative."""
@@ -67,6 +69,25 @@ def test_stretches_are_about_equal_and_in_order():
     parts = minesniper.stretches(log)
     assert np.array_equal(np.unique(parts), np.arange(5)) and (np.diff(parts) >= 0).all()
     assert set(np.bincount(parts)) <= {50, 51}
+
+
+def test_a_ridge_keeps_the_pattern_and_draws_to_none():
+    rng = np.random.default_rng(1)
+    nu = rng.normal(size=(200, 6))
+    linear, quadratic = 0.3 * minesniper.PRINTED_LINEAR, -0.2 * minesniper.PRINTED_QUADRATIC
+    force = nu @ linear.T + (np.abs(nu) * nu) @ quadratic.T
+    exact = minesniper.ridged(nu, force, 0.0)
+    np.testing.assert_allclose(exact, np.concatenate([linear, quadratic], axis=1), atol=1e-9)
+    # A ridge of one: (5 - a - b)² + a² + b² is least at a = b = 5 / 3.
+    alone = np.zeros((200, 6))
+    alone[:, 5] = np.sign(rng.normal(size=200))
+    half = minesniper.ridged(alone, 5.0 * alone, 1.0)[5]
+    assert half[[5, 11]].sum() == pytest.approx(5.0 * 2 / 3)
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((minesniper.HERE / "results.json").read_text())["seeds"]
+    assert minesniper.table(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
 def test_a_quick_run_predicts_far_better_than_the_printed_damping(tmp_path):

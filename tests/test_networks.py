@@ -330,11 +330,13 @@ def test_a_quick_run_finds_the_fouled_propeller(tmp_path):
 def test_a_quick_run_of_the_nonlinear_damping_ends_with_every_model(tmp_path):
     nonlinear_damping.main(tmp_path, seeds=1, quick=True)
     run = json.loads((tmp_path / "results.json").read_text())["runs"][0]
-    # A minute of sailing and few steps: the networks must fit it better, and beyond it do no harm.
+    # A minute of sailing and few steps are enough for the networks to predict better.
     fits = run["fits"]
     for loss in ("one_step", "trajectory"):
         assert np.isfinite(fits[f"hybrid, {loss}"]["reduced_chi2"])
-    assert fits["hybrid, trajectory"]["reduced_chi2"] < fits["classical, trajectory"]["reduced_chi2"]
+    # On a sailing that nothing was fitted to: 0.035 against 0.107 m, where the full study has a third.
+    off = {name: one["distance_10s"] for name, one in run["inside"].items()}
+    assert off["hybrid, trajectory"] < 0.6 * off["classical, trajectory"]
     assert set(nonlinear_damping.SHOWN) < set(run["inside"]) == set(run["beyond"])
     wrong = run["mass_error_percent"]["wrong mass, trajectory"]["diagonal"]
     assert wrong == pytest.approx(100 * nonlinear_damping.HEAVY, rel=1e-6)

@@ -147,7 +147,7 @@ def symmetric(seed: int) -> np.ndarray:
 
 
 def fossen_coriolis_matrix(m: np.ndarray, nu: np.ndarray) -> np.ndarray:
-    """C(nu) as printed: Fossen (2021), theorem 3.2."""
+    """C(nu) written out by blocks, after Fossen (2021)."""
 
     def s(a):
         return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.interpolate
 
 import jaxmarine as jm
 from jaxmarine._errors import InputError
@@ -78,15 +79,32 @@ def test_columns_that_are_alike_are_no_trouble():
     assert penalised == pytest.approx(least, rel=1e-3)
 
 
-def test_six_networks_of_500_centres_grow_within_ten_seconds():
+def test_a_column_costs_one_product_with_a_vector():
+    """500 columns of 1000 cost about as much as their Cholesky factor row by row, which 500 solves do not."""
     rng = np.random.default_rng(2)
-    x, y = rng.normal(size=(1000, 6)), rng.normal(size=(1000, 6))
-    began = time.process_time()
+    x, y = rng.normal(size=(1000, 6)), rng.normal(size=1000)
     basis = basis_of(x, x, 2.0)
     gram, right = basis.T @ basis + 1e-3 * np.eye(1000), basis.T @ y
-    counts = [len(grow(gram, right[:, a], 500).order) for a in range(6)]
-    assert counts == 6 * [500]
-    assert time.process_time() - began < 10.0
+
+    def row_by_row():
+        rows = np.zeros((500, 1000))
+        for k in range(500):
+            row = gram[k] - rows[:k, k] @ rows[:k]
+            rows[k] = row / np.sqrt(row[k])
+
+    def cpu(run) -> float:
+        times = []
+        for _ in range(2):
+            began = time.process_time()
+            run()
+            times.append(time.process_time() - began)
+        return min(times)
+
+    counted = []
+    spent = cpu(lambda: counted.append(len(grow(gram, right, 500).order)))
+    assert counted == 2 * [500]
+    # Measured: 1.6 times, for what each column would save is kept too. A solve for each would be 450 times.
+    assert spent < 8.0 * cpu(row_by_row)
 
 
 # --- the effect -------------------------------------------------------------------------------
@@ -136,23 +154,31 @@ def test_there_is_no_force_at_rest_and_none_far_away_and_the_way_between_is_smoo
     assert np.isfinite(jax.jit(jax.jacrev(lambda nu: term(motion(nu))))(seen)).all()
 
 
-def learned() -> tuple[RBFDamping, np.ndarray]:
-    """A term grown on a cubic drag and a product, of velocities about 1 m/s ahead."""
+def learned() -> tuple[RBFDamping, np.ndarray, np.ndarray]:
+    """A term grown on a cubic drag and a product, of velocities about 1 m/s ahead; these, and the forces."""
     rng = np.random.default_rng(4)
     nu = np.zeros((180, 6))
     nu[:, [0, 1]] = rng.normal(size=(180, 2)) * 0.2 + [1.0, 0.0]
     force = np.stack([-3 * nu[:, 0] ** 3, -4 * nu[:, 0] * nu[:, 1]], axis=1)
     force += 0.05 * rng.standard_normal(force.shape)
-    return rbf_damping(("surge", "sway"), nu[:, :2], force, np.arange(180) // 30, 60), nu
+    return rbf_damping(("surge", "sway"), nu[:, :2], force, np.arange(180) // 30, 60), nu, force
 
 
 def test_it_learns_a_force_where_data_are_and_leaves_the_vehicle_alone_elsewhere():
-    term, nu = learned()
-    inside = np.asarray(jax.vmap(lambda v: term(motion(v)))(jnp.asarray(nu)))
-    true = np.stack([-3 * nu[:, 0] ** 3, -4 * nu[:, 0] * nu[:, 1]], axis=1)
-    # Of forces of 3.9 N and 0.8 N (rms) measured with a noise of 0.05 N, the fit leaves what some tens of
-    # weights on 180 samples let through.
-    assert (np.sqrt(((inside[:, :2] - true) ** 2).mean(axis=0)) < [0.06, 0.03]).all()
+    term, nu, force = learned()
+    # At velocities that it was not grown on, among those that were.
+    new = np.zeros((300, 6))
+    new[:, :2] = np.random.default_rng(40).uniform([0.7, -0.3], [1.3, 0.3], (300, 2))
+    inside = np.asarray(jax.vmap(lambda v: term(motion(v)))(jnp.asarray(new)))
+    true = np.stack([-3 * new[:, 0] ** 3, -4 * new[:, 0] * new[:, 1]], axis=1)
+    spline = scipy.interpolate.RBFInterpolator(nu[:, :2], force, smoothing=0.1)(new[:, :2])
+
+    def off(found):
+        return np.sqrt(((found - true) ** 2).mean(axis=0))
+
+    # A thin-plate spline whose smoothing was chosen by the truth (0.02 N): it fades nowhere, ours does
+    # between velocities seen. Measured 1.9 and 0.6 times its error; without any network 160 and 64 times.
+    assert (off(inside[:, :2]) < 3.0 * off(spline)).all()
     assert np.abs(inside[:, 2:]).max() == 0.0
     away = term(motion([-3.0, 2.0, 0, 0, 0, 0]))
     assert np.abs(away).max() < 1e-10

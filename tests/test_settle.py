@@ -439,6 +439,26 @@ def test_names_have_to_leave_less_than_unknown_dependences_alone(members, left, 
 
 
 @pytest.mark.parametrize(
+    ("members", "nats", "likelier"),
+    [
+        (1, 1e3, False),  # of one name it is asked whether it stood in
+        # Names pay log(320) / 2 + log(8) each, 9.93 nats for two; one dependence is chosen among so many: 7.
+        (2, -2.9, True),
+        (2, -3.0, False),
+        (3, -7.8, True),
+    ],
+)
+def test_several_names_must_make_the_logs_likelier_than_unknown_dependences(
+    monkeypatch, members, nats, likelier
+):
+    monkeypatch.setattr(_unnamed, "nats_in_place", lambda k, where, found, phi: nats)
+    monkeypatch.setattr(_unnamed, "tried_nats", lambda k: 7.0)
+    now = judged_as(Bench({}).fit(*range(4, 4 + members)))
+    assert rival_with(0.0).likelier(now) == likelier
+    assert not rival_with(0.0, ()).likelier(now)
+
+
+@pytest.mark.parametrize(
     ("beside", "which"), [((40.0, 33.0), 1), ((34.0, 33.0), 1), ((30.0, 33.0), 0), ((40.0, 36.0), None)]
 )
 def test_a_stand_in_costs_little_beside_what_it_stood_in_for(monkeypatch, beside, which):

@@ -1,5 +1,7 @@
 """Identification by small networks, and the Levenberg-Marquardt that trains them."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,14 @@ import pytest
 import scipy.optimize
 
 from experiments.thesis import baselines
+from jaxmarine import control
 from jaxmarine.fitting import damping_matrices, damping_targets, fit_samples, identify_by_networks
 from jaxmarine.fitting._levenberg_marquardt import BATCH
 from jaxmarine.fitting._subnets import mass_of, train_acceleration
+from jaxmarine.simulation import initial_state
+from jaxmarine.vehicle import inverse_dynamics
+from jaxmarine.vehicle_io import load_vehicle, save_vehicle
+from tests.crafts import packaged
 
 MASS = np.diag([231.0, 231, 231, 52, 50, 53])
 MASS[0, 4] = MASS[4, 0] = -52.0
@@ -118,7 +125,7 @@ def test_an_axis_that_never_moves_is_refused(motion):
 
 
 @pytest.mark.parametrize("form", ["zero_at_rest", pytest.param("dissipative", marks=pytest.mark.slow)])
-def test_damping_is_as_its_form_says(motion, form):
+def test_damping_is_as_its_form_says(motion, form, tmp_path):
     """No force at rest; and, where asked for, power taken at every velocity, far outside the data too."""
     nu, nu_dot, force, drag = map(jnp.asarray, motion)
     found = identify_by_networks(
@@ -135,7 +142,20 @@ def test_damping_is_as_its_form_says(motion, form):
     shown = jax.vmap(found.damping)(nu)
     # 15 epochs, then samples that the network has not seen.
     assert float(((shown - drag)[400:] ** 2).mean() / (drag**2).mean()) < 0.05
+
+    # In a vehicle: the equations of motion with what was found, written out, and the same from its file.
+    craft = packaged("tethra")
+    vehicle = found.vehicle(craft)
+    save_vehicle(vehicle, tmp_path / "found.toml")
+    for one in vehicle, load_vehicle(tmp_path / "found.toml"):
+        for k in (450, 451):
+            state = dataclasses.replace(initial_state(craft), velocity=nu[k])
+            wrench = inverse_dynamics(one, state, nu_dot[k])
+            at_rest = inverse_dynamics(craft, initial_state(craft), jnp.zeros(6))
+            expected = nu_dot[k] @ MASS.T + coriolis(nu[k : k + 1])[0] + found.damping(nu[k]) + at_rest
+            assert np.asarray(wrench) == pytest.approx(np.asarray(expected), abs=1e-9)
     if form == "dissipative":
+        assert control.dissipates(vehicle, nu)
         far = 5.0 * np.random.default_rng(3).normal(size=(500, 6))
         assert float((jax.vmap(found.damping)(jnp.asarray(far)) * far).sum(axis=1).min()) >= 0.0
 

@@ -88,6 +88,23 @@ def test_a_matrix_that_is_made_so_takes_power_everywhere(names):
         assert jnp.array_equal(wrench[2:5], jnp.zeros(3))
 
 
+def test_a_mass_that_is_made_so_is_symmetric_and_positive(names):
+    laden, heavy = names["laden"], names["heavy"]
+    more = np.asarray(laden.plant().load.added - heavy.plant().load.added)
+    assert np.array_equal(more, more.T)
+    assert np.linalg.eigvalsh(more[np.ix_([0, 1, 5], [0, 1, 5])]).min() > 0.0
+    assert np.abs(more[2:5]).max() == 0.0
+    # Kinetic energy grows with it, and forward dynamics has it: F = (M + dM) nu'.
+    push = jnp.array([1.0, 0.5, 0, 0, 0, 0.1])
+    drive = jm.vehicle.Input(jnp.zeros(3), jnp.zeros(3), push, jnp.zeros(()))
+    state = jm.initial_state(heavy)
+    slow, fast = (np.asarray(jm.forward_dynamics(v, state, drive)) for v in (laden, heavy))
+    mass = np.asarray(heavy.mass_matrix)[np.ix_([0, 1, 5], [0, 1, 5])]
+    np.testing.assert_allclose(mass @ fast[[0, 1, 5]], push[jnp.array([0, 1, 5])], atol=1e-12)
+    total = mass + more[np.ix_([0, 1, 5], [0, 1, 5])]
+    np.testing.assert_allclose(total @ slow[[0, 1, 5]], push[jnp.array([0, 1, 5])], atol=1e-12)
+
+
 def test_a_straight_curve_is_more_thrust(names):
     craft, log = names["heavy"], names["test"]
     line = eqx.tree_at(lambda m: m.weight, eqx.nn.Linear(1, 1, key=jax.random.key(0)), jnp.full((1, 1), 0.2))

@@ -15,7 +15,7 @@ VEHICLE = plant.tethra()
 
 @pytest.fixture(scope="module")
 def log() -> jm.Log:
-    return plant.dive(VEHICLE, 40.0, seed=3)
+    return plant.dive(VEHICLE, 40.0, 3)
 
 
 def test_allocation_gives_the_wrench_that_was_asked_for():
@@ -48,6 +48,16 @@ def test_plant_is_the_printed_one():
     stiffness = -(plant.forces(VEHICLE, tilted) - plant.forces(VEHICLE, level))[0, 3] / 0.01
     assert stiffness == pytest.approx(399.0, abs=0.5)
     assert plant.forces(VEHICLE, level)[0, 2] == pytest.approx(-124.8, abs=1e-9)
+
+
+def test_thrusters_lie_where_mass_and_centres_are_counted_from():
+    """Table 5.2 about the plane of the horizontal thrusters: full surge does not pitch about `o`."""
+    built = jm.load_vehicle(jm.packaged_vehicle("tethra_geometry"))
+    file = jm.load_vehicle(jm.packaged_vehicle("tethra"))
+    np.testing.assert_allclose(file.thrusters.position, built.thrusters.position, atol=1e-12)
+    for craft in file, VEHICLE:
+        wrench = craft.plant().allocation @ (np.array([1.0, 1.0, 0.0, 0.0]) * craft.thrusters.max_thrust)
+        np.testing.assert_allclose(wrench, [240.0, 0, 0, 0, 0, 0], atol=1e-9)
 
 
 def test_forces_close_the_equations_of_motion(log):

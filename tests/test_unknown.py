@@ -14,7 +14,15 @@ from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._score import Reduced, blocks
 from jaxmarine.diagnosis._signals import Places, _played
-from jaxmarine.diagnosis._unknown import RIDGES, _evidence, _left_out, dependences, likely, size_only
+from jaxmarine.diagnosis._unknown import (
+    RIDGES,
+    _evidence,
+    _left_out,
+    dependences,
+    likely,
+    nats_in_place,
+    size_only,
+)
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -307,6 +315,48 @@ def test_evidence_of_shapes_of_one_size_is_that_of_the_gaussian():
     # It looks at sizes a quarter apart, an eighth away at most.
     assert nats == pytest.approx(of(best) - of(0.0), abs=0.1)
     assert pull**-0.5 == pytest.approx(best, rel=0.15)
+
+
+def test_dependences_in_the_place_of_members_are_worth_what_the_densities_say():
+    """Restricted likelihoods of a force that goes with u², and of a member that only looks like it."""
+    rng = np.random.default_rng(13)
+    u = drift(rng, 6.0)
+    signals = {"u": u, "v": drift(rng, 6.0)}
+    force = u**2 + 0.5
+    proposed = dependences(knots_with(force, signals, rng), 1.0)
+    known, member = (np.ones(u.size) / STD, np.abs(u).ravel() / STD)
+    y = force.ravel() / STD + rng.normal(size=u.size)
+    z = np.linalg.lstsq(np.column_stack([known, member]), y, rcond=None)[0]
+    rest = y - z[0] * known - z[1] * member
+
+    # Columns: the known number, the member's, and the force at each knot on each axis.
+    per_window = []
+    for own in np.arange(u.size).reshape(SHAPE):
+        knotted = np.einsum("ok,a->oka", np.eye(KNOTS) / STD, np.eye(6)[HEAVE]).reshape(KNOTS, -1)
+        x = np.column_stack([known[own], member[own], knotted])
+        per_window.append((-x.T @ rest[own], x.T @ x, rest[own] @ rest[own]))
+    g, h, chi2 = (np.array([one[i] for one in per_window]) for i in range(3))
+    k = knots_with(force, signals, rng)
+    k = dataclasses.replace(k, stats=Reduced(chi2, g, h), width=2, precision=np.zeros(2), offset=z)
+
+    features = proposed[0].features.reshape(u.size, -1)
+    features = features / np.sqrt((features**2).mean(axis=0)) / STD
+
+    def restricted(size: float) -> float:
+        """Log-density of y without the member, the known number integrated out, less that at its fit."""
+        v = np.eye(u.size) + size**2 * features @ features.T
+        inverse = np.linalg.inv(v)
+        told = known @ inverse @ known
+        left = y - known * (known @ inverse @ y) / told
+        shrunk = np.linalg.slogdet(v)[1] + np.log(told / (known @ known))
+        return float(-0.5 * (left @ inverse @ left + shrunk))
+
+    by_members = -0.5 * float(rest @ rest)
+    best = max(restricted(size) for size in np.geomspace(1e-3, 10.0, 200))
+    # Sizes are looked at a quarter apart, and the knots' information is widened by a millionth.
+    assert nats_in_place(k, [slice(1, 2)], proposed, 1.0) == pytest.approx(best - by_members, abs=0.2)
+    # Scores that scatter four times as much tell a quarter as much.
+    assert nats_in_place(k, [slice(1, 2)], proposed, 4.0) < 0.3 * (best - by_members)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.15])

@@ -5,7 +5,7 @@
 - "tracking": what the pilot holds follows smooth references, whose rates and accelerations are fed forward.
 
 All are PID controllers of the axes that thrusters command, gains by pole placement after Fossen (2011),
-sec. 12.2, from the vehicle's own inertia and full thrust; the pseudo-inverse of the thrust matrix allocates.
+from the vehicle's own inertia and full thrust; the pseudo-inverse of the thrust matrix allocates.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """What drives a craft beside fixed thrusters: propellers, rudders and fins, azimuths, wind; strip drag.
 
-Forces after the standard MMG method (Yasukawa and Yoshimura 2015, eqs. 12 to 22) with angles as they stand
-there, strip theory (Faltinsen 1990, sec. 6) and harmonics of the apparent wind (Blendermann 1994). Arrays
+Forces after the standard MMG method (after Yasukawa and Yoshimura 2015) with angles as they stand
+there, strip theory (after Faltinsen 1990) and harmonics of the apparent wind (Blendermann 1994). Arrays
 hold the batch on the last axis.
 """
 

@@ -91,7 +91,7 @@ class Disturbance:
 
 
 def coriolis(m: Array, nu: Array) -> Array:
-    """C(nu) nu of a symmetric mass matrix, Fossen (2011), eq. 3.46.
+    """C(nu) nu of a symmetric mass matrix, after Fossen (2011).
 
     With (p, h) = M nu it is (omega x p, v x p + omega x h).
     """
@@ -125,7 +125,7 @@ def lift_form(hull: Array, turning: Array) -> Array:
 
 
 def rotation(attitude: Array) -> Array:
-    """Body to earth axes, ZYX Euler angles, Fossen (2011), eq. 2.18; shape (3, 3, ...)."""
+    """Body to earth axes, ZYX Euler angles, after Fossen (2011); shape (3, 3, ...)."""
     (sf, st, sp), (cf, ct, cp) = np.sin(attitude), np.cos(attitude)
     return np.array(
         [

@@ -141,7 +141,7 @@ def skew(r: Array) -> Array:
 
 
 def rigid_mass(mass: float, cog: Array, inertia: Array) -> Array:
-    """M_RB = [[m I, -m S(r_g)], [m S(r_g), I_o]], Fossen (2011), eq. 3.44."""
+    """M_RB = [[m I, -m S(r_g)], [m S(r_g), I_o]], after Fossen (2011)."""
     s = mass * skew(cog)
     return np.block([[mass * np.eye(3), -s], [s, inertia]])
 

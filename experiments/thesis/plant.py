@@ -1,6 +1,6 @@
 """Tethra, the operator at its sticks, the pool, and the noise of its measurements (thesis, sec. 5.2-5.3).
 
-    log = plant.dive(plant.tethra(), duration=1000.0, seed=0)
+    log = plant.dive(plant.tethra(), duration=1000.0, 0)
     noisy = plant.noisy(log, "text", seed=1)
 
 The log holds commands, attitude, velocities and accelerations of every tenth of a second.
@@ -26,6 +26,7 @@ Noise = Literal["text", "listing", "realistic"]
 
 DT = 0.1  # [s] between samples (sec. 5.3)
 FINE = 10  # integration steps per sample: the truth is finer than any model that is fitted to it
+# Four degrees of freedom and time delays and saturation of the thrusters (fig. 5.4); all numbers are assumed.
 STICKS = ("surge", "heave", "roll", "yaw")
 DELAY, LAG, LIMIT = 2 * DT, 0.15, 1.0  # [s], [s], [command]
 # Wrench of a full stick about its trim [N, N m]: gives motion as rich as the four thrusters allow.
@@ -34,17 +35,16 @@ HOLDS = (1.0, 6.0)  # [s] for which a stick is held
 SLEW = 0.3  # [s]
 
 # The listing's displacement and centre of buoyancy, seen from the plane of the horizontal thrusters,
-# where (5.15) and (5.18) have their origin. Table 5.2 counts from the lowest frame tubes, 0.43 m below.
+# where (5.15), (5.18) and the vehicle file have their origin.
 WEIGHT, BUOYANCY = 2269.7, 2394.5  # [N]
 COG, COB = (-0.0052, 0.0, -0.2269), (-0.0006, 0.0, -0.3817)  # [m]
-RAISED = 0.43  # [m]
 
 # Standard deviations of a realistic set of sensors: 2 cm, 0.005 rad, 1 cm/s, 0.01 rad/s.
 REALISTIC = {"position": 0.02, "attitude": 0.005, "velocity": 0.01, "rate": 0.01}
 
 
 def tethra() -> jm.Vehicle:
-    """The thesis' plant: (5.18), (5.24), the listing's restoring forces, delay, lag and saturation."""
+    """The thesis' plant: (5.18), (5.24), the listing's restoring forces; its thrusters' lags are assumed."""
     file = jm.load_vehicle(jm.packaged_vehicle("tethra"))
     body = dataclasses.replace(
         file.body,
@@ -53,9 +53,7 @@ def tethra() -> jm.Vehicle:
         cog=jnp.array(COG),
         cob=jnp.array(COB),
     )
-    places = file.thrusters.position + jnp.array([[0.0, 0.0, RAISED]])
-    vehicle = eqx.tree_at(lambda v: (v.body, v.thrusters.position), file, (body, places))
-    return vehicle.place(
+    return dataclasses.replace(file, body=body).place(
         jm.Placed(InputDelay(jnp.asarray(DELAY))),
         jm.Placed(Saturation(jnp.asarray(LIMIT))),
         jm.Placed(ThrusterLag(jnp.asarray(LAG))),
@@ -151,16 +149,21 @@ def commands(
     return np.array(jm.allocate(vehicle, jnp.asarray(wrench), STICKS))
 
 
-def dive(vehicle: jm.Vehicle, duration: float, seed: int) -> jm.Log:
-    """The true motion of the vehicle with the operator at its sticks, from rest; `noisy` measures it."""
-    t = np.arange(round(duration / DT)) * DT
-    told = commands(vehicle, sticks(t, seed))
+def dive(vehicle: jm.Vehicle, duration: float, *seeds: int) -> jm.Log:
+    """The true motion of the vehicle with an operator at its sticks, from rest; `noisy` measures it.
+
+    - `duration` [s] of each operator; one follows on the other, so that `dive(v, T, 0, 1)` goes on where
+      `dive(v, T, 0)` ends.
+    """
+    count = round(duration / DT)
+    t = np.arange(count * len(seeds)) * DT
+    told = commands(vehicle, np.concatenate([sticks(t[:count], seed) for seed in seeds]))
     fine = np.arange(len(t) * FINE) * (DT / FINE)
     names = vehicle.thruster_names
     blank = np.full((len(fine), len(CHANNELS)), np.nan)
     asked = jm.Log(fine, blank, np.repeat(told, FINE, axis=0), None, names, "dive")
     channels = np.array(jm.simulate(vehicle, asked, jm.initial_state(vehicle)).channels)[::FINE]
-    return jm.Log(t, channels, told, None, names, f"dive {seed}")
+    return jm.Log(t, channels, told, None, names, f"dive {seeds[0]}")
 
 
 # --- what is measured -----------------------------------------------------------------------------

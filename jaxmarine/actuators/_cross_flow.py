@@ -29,7 +29,7 @@ class CrossFlowTable(Table):
 class CrossFlow(AbstractActuators):
     r"""Strip theory: $Y = -\frac12 \rho d C \int |v + x r| (v + x r) dx$, N with x inside. It has no column.
 
-    Source: Fossen (2021), sec. 6.4 (cross-flow drag); Faltinsen (1990), sec. 6.
+    Source: after Fossen (2021), on cross-flow drag; Faltinsen (1990).
     """
 
     key: ClassVar[str] = "cross_flow"

@@ -72,8 +72,8 @@ class Propellers(AbstractActuators):
     its number at rest alone. `gain` is a factor of all that. Those of `swivels` have a
     column `<name>_angle` [rad], by which `direction` turns right-handed about `axis`.
 
-    Source: Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52, eqs. 11 to 14 (standard MMG
-    method); Fossen (2021), sec. 9.2.
+    Source: after Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52 (standard MMG
+    method), and Fossen (2021).
     """
 
     key: ClassVar[str] = "propeller"

@@ -21,7 +21,7 @@ class Supply(AbstractActuators):
     """Thrust goes with (battery / `nominal`) to the power `exponent`; the column `battery` [V] is logged.
 
     They are keys of the thrusters' tables; `places` says which thrusters they are. Source: a motor turns with
-    its voltage, and thrust goes with a power of that from one to two; Fossen (2021), sec. 9.1.
+    its voltage, and thrust goes with a power of that from one to two; after Fossen (2021).
     """
 
     key: ClassVar[str] = BATTERY

@@ -122,7 +122,7 @@ class Surfaces(AbstractActuators):
     `gain` is a factor of the force, `offset` [rad] adds to the deflection, `stuck` [rad] stands in its place
     (`FREE`: nowhere).
 
-    Source: Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52, eqs. 15 to 22.
+    Source: after Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52.
     """
 
     key: ClassVar[str] = "surface"

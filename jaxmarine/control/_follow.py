@@ -19,8 +19,8 @@ from ._path import Reference
 class Feedback(eqx.Module):
     """Proportional and derivative feedback in body axes: tau = `stiffness` e + `damping` (nu_ref - nu).
 
-    e is the way to the reference [m] and the turn to its attitude [rad], small angle. Fossen (2021),
-    sec. 15.3 (PD control of position and attitude).
+    e is the way to the reference [m] and the turn to its attitude [rad], small angle. After Fossen (2021),
+    on PD control of position and attitude.
     """
 
     stiffness: Matrix6
@@ -43,7 +43,7 @@ def _off(wanted: State, seen: State) -> Velocity:
 def pole_placement(mass: Matrix6, frequency: float, ratio: float = 1.0) -> Feedback:
     """Gains with which mass alone would answer at `frequency` [rad/s] and damping `ratio` [1].
 
-    e'' + 2 ratio frequency e' + frequency² e = 0; Fossen (2021), algorithm 15.1.
+    e'' + 2 ratio frequency e' + frequency² e = 0; after Fossen (2021).
     """
     return Feedback(frequency**2 * mass, 2.0 * ratio * frequency * mass)
 

@@ -166,7 +166,10 @@ def _chosen(
         return _without_names(bench, rival, found.model, (), UNNAMED), found.rounds
     progress(SETTLING)
     model, dense, rounds, dropped = settled(bench, found)
-    answer = with_unknown(bench, judged(bench, model), dense, progress)
+    now = judged(bench, model)
+    if rival.likelier(now):
+        return _without_names(bench, rival, model, dropped, UNNAMED), rounds
+    answer = with_unknown(bench, now, dense, progress)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     share = WITH_UNKNOWN if answer.unknown else ALONE

@@ -241,6 +241,16 @@ def penalty(bench: Workbench, member: Member) -> float:
     return own * np.log(bench.samples)
 
 
+def tried(bench: Workbench, member: Member) -> int:
+    """How many suspects there were to choose a member from, and times at which it may have begun."""
+    return len(bench.layout.suspects) * (len(bench.group_windows) if member.since else 1)
+
+
+def prior_nats(bench: Workbench, member: Member) -> float:
+    """What a member must gain to be as likely as nothing: its parameters, and how many were tried."""
+    return 0.5 * penalty(bench, member) + float(np.log(tried(bench, member)))
+
+
 def evidence(bench: Workbench, member: Member, saved: float, phi: float) -> float:
     """Logarithm of the Bayes factor [nats] of a member that saves so much chi-square (Schwarz)."""
     return float(0.5 * (saved / phi - penalty(bench, member)))
@@ -270,8 +280,8 @@ def needed(bench: Workbench, member: Member, phi: float) -> float:
     And at least what makes its evidence worth mentioning (odds of 20 to 1).
     """
     own = bench.layout.columns[member.suspect].shape[1]
-    tried = len(bench.layout.suspects) * (len(bench.group_windows) if member.since else 1)
-    return phi * max(2 * own + 2 * np.log(tried) + 2 * MARGIN, penalty(bench, member) + CLOSE)
+    least = 2 * own + 2 * np.log(tried(bench, member)) + 2 * MARGIN
+    return phi * max(least, penalty(bench, member) + CLOSE)
 
 
 def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:

@@ -28,7 +28,7 @@ class Places:
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
     - `played`: per thruster what play operators of several widths make of its command, without the
       command and in shares of their width. Every hysteresis without creep is a sum of such operators
-      (Prandtl-Ishlinskii; Visintin 1994, ch. III).
+      (Prandtl-Ishlinskii; after Visintin 1994).
     """
 
     t: Float[np.ndarray, "windows knots"]

@@ -7,7 +7,7 @@ dependence is worth is the chi-square that it saves on windows that were left ou
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -297,6 +297,11 @@ def _better(new: np.ndarray, old: np.ndarray) -> bool:
     return bool(new.sum() > (1 + SHARE) * max(old.sum(), 0.0) and t_value(new - old) > 2.0)
 
 
+def tried_nats(k: Knots) -> float:
+    """What a dependence must gain for having been chosen: by pairs of signals, and axes."""
+    return float(np.log(len(k.places.signals) ** 2 * k.free.sum()))
+
+
 def dependences(
     k: Knots,
     phi: float,
@@ -315,7 +320,7 @@ def dependences(
     ledger = _Ledger(k)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
-    enough = 2 * phi * np.log(len(k.places.signals) ** 2 * len(left)) + LEAST
+    enough = 2 * phi * tried_nats(k) + LEAST
     while left:
         trials = {axis: _best_signals(ledger, axis) for axis in left}
         axis = max(trials, key=lambda a: trials[a][1].sum())
@@ -453,24 +458,58 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
 
     - `k`: beside the disturbance.
     """
-    before = {id(one): dataclasses.replace(one, features=_earlier(k, one.features)) for one in found}
-    enough = np.log(len(k.places.signals) ** 2 * k.free.sum()) + 0.5 * LEAST
+    enough = tried_nats(k) + 0.5 * LEAST
     accepted: tuple[Dependence, ...] = ()
     pulls = np.zeros(0)
     for one in found:
-        wrenches = _wrenches(k, tuple(before[id(other)] for other in (*accepted, one)))
-        size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
-        g, h = _beside(k, wrenches / np.maximum(size, 1e-300))
+        g, h = _beside_shapes(k, lagged(k, (*accepted, one)))
         first = len(g) - one.features.shape[-1]
         own, rest = np.arange(first, len(g)), np.arange(first)
         h[range(k.width, first), range(k.width, first)] += pulls
-        x = solve(h[np.ix_(rest, rest)], np.column_stack([h[np.ix_(rest, own)], g[rest]]))
-        left = h[np.ix_(own, own)] - h[np.ix_(own, rest)] @ x[:, :-1]
-        nats, pull = _evidence(left, g[own] - h[np.ix_(own, rest)] @ x[:, -1])
+        nats, pull = _evidence(*_eliminated(g, h, own, rest))
         if nats > enough:
             accepted = (*accepted, one)
             pulls = np.append(pulls, np.full(len(own), pull))
     return accepted
+
+
+def nats_in_place(k: Knots, members: Sequence[slice], found: tuple[Dependence, ...], phi: float) -> float:
+    """Nats by which some dependences in the place of all members make the logs likelier (linearised).
+
+    Coefficients of shapes are integrated out, each dependence's at the size at which they gain most; known
+    numbers are refitted. What the members cost by their number, and the dependences, is not in it.
+
+    - `members`: where their parameters lie in z; `phi`: dispersion of the scores.
+    """
+    g, h = _beside_shapes(k, found)
+    out = np.concatenate([np.arange(where.start, where.stop) for where in members])
+    back = np.zeros(len(g))
+    back[out] = -k.offset[out]
+    nats = -(g @ back + 0.5 * back @ h @ back) / phi
+    g = g + h @ back
+    rest = np.setdiff1d(np.arange(k.width), out)
+    nats += 0.5 * g[rest] @ solve(h[np.ix_(rest, rest)], g[rest]) / phi
+    first = k.width
+    for one in found:
+        own = np.arange(first, first + one.features.shape[-1])
+        left, slope = _eliminated(g, h, own, rest)
+        gained, pull = _evidence(left / phi, slope / phi)
+        nats += gained
+        h[own, own] += phi * pull
+        rest, first = np.append(rest, own), own[-1] + 1
+    return float(nats)
+
+
+def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and information of the known numbers and of the shapes, each of mean square one."""
+    wrenches = _wrenches(k, found)
+    size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
+    return _beside(k, wrenches / np.maximum(size, 1e-300))
+
+
+def lagged(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
+    """Dependences on the signals of the knot before each."""
+    return tuple(dataclasses.replace(one, features=_earlier(k, one.features)) for one in found)
 
 
 def _earlier(k: Knots, features: np.ndarray) -> Float[np.ndarray, "windows knots features"]:
@@ -480,6 +519,15 @@ def _earlier(k: Knots, features: np.ndarray) -> Float[np.ndarray, "windows knots
     begins = np.diff(k.places.log, prepend=-1) != 0
     out[begins, 0] = 0.0
     return out
+
+
+def _eliminated(
+    g: np.ndarray, h: np.ndarray, own: np.ndarray, rest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and gradient of some numbers once the rest is refitted with them."""
+    across = h[np.ix_(own, rest)]
+    x = solve(h[np.ix_(rest, rest)], np.column_stack([across.T, g[rest]]))
+    return h[np.ix_(own, own)] - across @ x[:, :-1], g[own] - across @ x[:, -1]
 
 
 def _evidence(h: np.ndarray, g: np.ndarray) -> tuple[float, float]:

@@ -16,9 +16,20 @@ from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
 from ._model import Beside, Model, Workbench
 from ._result import Dropped
+from ._search import prior_nats
 from ._settle import pruned
 from ._signals import Signals
-from ._unknown import Dependence, cost_of_removal, dependences, explained, likely, size_only
+from ._unknown import (
+    Dependence,
+    cost_of_removal,
+    dependences,
+    explained,
+    lagged,
+    likely,
+    nats_in_place,
+    size_only,
+    tried_nats,
+)
 
 # A member whose removal costs less than this share beside the unknown dependences only stood in for them;
 # all of them did where unknown dependences alone leave less than the second share of what they leave, or
@@ -156,6 +167,22 @@ class Unnamed:
         count = len(model.members)
         share = ALONE if count == 2 else CROWD
         return count > 1 and rest > PLENTY * self.bench.freedom and self.leaves_less(rest, share)
+
+    def likelier(self, now: Judged) -> bool:
+        """Whether unknown dependences in the place of several members make the logs likelier than those do.
+
+        Each in nats, with what it is worth before any log: members by their parameters and by how many there
+        are to choose from, dependences by how many sets of signals there are.
+        """
+        members = now.model.members
+        if len(members) < 2 or not self.dependences:
+            return False
+        k, found = now.left, self.dependences
+        if now.model.beside is not None:
+            found = lagged(k, found)
+        named = -sum(prior_nats(self.bench, member) for member in members)
+        unnamed = nats_in_place(k, self.bench.slices(members), found, now.phi) - len(found) * tried_nats(k)
+        return bool(unnamed > named)
 
     def leaves_less(self, rest: float, share: float) -> bool:
         """Whether it leaves less than a share of `rest`, and not by chance."""

@@ -31,7 +31,7 @@ def _moving(craft: Craft) -> dict[int, str]:
 class SurfaceGain(ActuatorEffect):
     """A surface gives `factor` times the force of the file. Neutral: 1; near 0 it is gone.
 
-    Source: loss-of-effectiveness fault; Fossen (2021), sec. 9.7 (forces of rudders).
+    Source: loss-of-effectiveness fault; after Fossen (2021), on forces of rudders.
     """
 
     name = "surface_gain"
@@ -62,7 +62,7 @@ class SurfaceGain(ActuatorEffect):
 class SurfaceOffset(ActuatorEffect):
     """A surface stands `angle` beside what is commanded. Neutral: 0.
 
-    Source: bias of the steering gear; Fossen (2021), sec. 9.7.
+    Source: bias of the steering gear; after Fossen (2021).
     """
 
     name = "surface_offset"
@@ -91,7 +91,7 @@ class SurfaceOffset(ActuatorEffect):
 class SurfaceStuck(ActuatorEffect):
     """A surface stands at `angle`, whatever is commanded. Neutral: 10 rad, from which on it stands nowhere.
 
-    Source: lock-in-place fault; Fossen (2021), sec. 9.7.
+    Source: lock-in-place fault; after Fossen (2021).
     """
 
     name = "surface_stuck"
@@ -122,7 +122,7 @@ class SurfaceStuck(ActuatorEffect):
 class SurfaceLag(ActuatorEffect):
     """All surfaces follow their commands with a first-order lag of `time_constant` more. Neutral: 0.
 
-    Source: Fossen (2021), sec. 9.7 (steering machine).
+    Source: after Fossen (2021), on steering machines.
     """
 
     name = "surface_lag"
@@ -155,7 +155,7 @@ class SurfaceLag(ActuatorEffect):
 class SurfaceRate(ActuatorEffect):
     """No surface turns faster than `limit`. Neutral: 10 rad/s, from which on it leaves the file's alone.
 
-    Source: Fossen (2021), sec. 9.7 (limits of steering machines: Van Amerongen, 1982).
+    Source: after Fossen (2021), on the limits of steering machines.
     """
 
     name = "surface_rate"
@@ -190,7 +190,7 @@ class SurfaceRate(ActuatorEffect):
 class Wake(ActuatorEffect):
     """The wake fraction of a propeller is `fraction` more than the file says. Neutral: 0.
 
-    Source: Fossen (2021), sec. 9.2; Yasukawa and Yoshimura (2015), eq. 13.
+    Source: after Fossen (2021), and Yasukawa and Yoshimura (2015).
     """
 
     name = "wake"
@@ -220,7 +220,7 @@ class Wake(ActuatorEffect):
 class CrossFlowDrag(ActuatorEffect):
     """The drag coefficient of the hull's sections is `coefficient` more than the file says. Neutral: 0.
 
-    Source: Fossen (2021), sec. 6.4 (strip theory); Hoerner (1965), the coefficient by beam and draft.
+    Source: after Fossen (2021), on strip theory; Hoerner (1965), the coefficient by beam and draft.
     """
 
     name = "cross_flow_drag"
@@ -252,7 +252,7 @@ class Voltage(ActuatorEffect):
 
     Where the file has no `nominal_voltage` its power is 0, and the nominal voltage the battery's mean over
     the training logs (`supplied`). Source: a motor turns with its voltage, and thrust goes with a power of
-    that from one to two; Fossen (2021), sec. 9.1.
+    that from one to two; after Fossen (2021).
     """
 
     name = "voltage"

@@ -80,7 +80,7 @@ class ExchangedThrusters(AbstractEffect):
 class InputDelay(DriveEffect, ActuatorEffect):
     """Every command acts `delay` seconds late: c(t - delay). Neutral: 0.
 
-    Source: thesis sec. 5.3.1 (two samples of delay); pure transport delay.
+    Source: pure transport delay.
     """
 
     name = "input_delay"
@@ -140,7 +140,7 @@ class Deadband(DriveEffect):
 class Saturation(DriveEffect):
     """Large commands are clipped at `limit`. Neutral: 10, from which on it leaves the file's limit alone.
 
-    Source: amplitude limit of the actuator; Fossen (2021), sec. 9.1.
+    Source: amplitude limit of the actuator; after Fossen (2021).
     """
 
     name = "saturation"
@@ -169,7 +169,7 @@ class Saturation(DriveEffect):
 class ThrustCurve(DriveEffect):
     """Thrust is not linear in the command: max_thrust ((1 - quadratic) c + quadratic c |c|). Neutral: 0.
 
-    Source: Fossen (2021), eq. 9.4 (thrust grows with n|n|).
+    Source: after Fossen (2021), on thrust, which grows with n|n|.
     """
 
     name = "thrust_curve"
@@ -228,7 +228,7 @@ class ThrusterGain(DriveEffect, ActuatorEffect):
 class ReverseThrust(DriveEffect):
     """A thruster gives `factor` times the thrust of the file where its command is negative. Neutral: 1.
 
-    Source: Fossen (2021), sec. 9.1 (a propeller is made for one way; its coefficients differ astern).
+    Source: after Fossen (2021), on propellers, which are made for one way.
     """
 
     name = "reverse_thrust"
@@ -254,7 +254,7 @@ class ReverseThrust(DriveEffect):
 class ThrusterLag(DriveEffect, ActuatorEffect):
     """Thrust follows its goal with a first-order lag, `time_constant` T' = T_goal - T. Neutral: 0.
 
-    Source: Yoerger, Cooke and Slotine (1990); Fossen (2021), eq. 9.10.
+    Source: Yoerger, Cooke and Slotine (1990); after Fossen (2021).
     """
 
     name = "thruster_lag"
@@ -286,7 +286,7 @@ class ThrusterLag(DriveEffect, ActuatorEffect):
 class InflowLoss(DriveEffect):
     """Thrust falls with the speed along the thruster: times 1 - per_speed |n . v_r|. Neutral: 0.
 
-    `v_r` is the velocity of `o` through the water. Source: Fossen (2021), sec. 9.2 (advance speed).
+    `v_r` is the velocity of `o` through the water. Source: after Fossen (2021), on advance speed.
     """
 
     name = "inflow_loss"

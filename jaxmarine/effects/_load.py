@@ -13,7 +13,7 @@ from ._base import Craft, LoadEffect, Suspect, free, per_dof, scalar, zeros
 
 
 class AddedMass(LoadEffect):
-    """More added mass on one axis, with its Coriolis terms. Neutral: 0. Source: Fossen (2021), sec. 6.2."""
+    """More added mass on one axis, with its Coriolis terms. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "added_mass"
     units = {"value": "kg or kg m²"}
@@ -36,7 +36,7 @@ class AddedMass(LoadEffect):
         return dataclasses.replace(load, added=load.added + jnp.diag(self.value))
 
 
-# Axes whose added masses a hull joins that is alike on port and starboard. Source: Fossen (2021), sec. 6.3.
+# Axes whose added masses a hull joins that is alike on port and starboard. Source: after Fossen (2021).
 _PAIRS = (
     ("surge", "heave"),
     ("surge", "pitch"),
@@ -54,7 +54,7 @@ JOINED[_ROWS, _COLUMNS] = JOINED[_COLUMNS, _ROWS] = True
 class CoupledAddedMass(LoadEffect):
     """More added mass between two axes, in both rows of the matrix, with its Coriolis terms. Neutral: 0.
 
-    Only between axes that a hull joins which is alike on port and starboard. Source: Fossen (2021), sec. 6.3.
+    Only between axes that a hull joins which is alike on port and starboard. Source: after Fossen (2021).
     """
 
     name = "coupled_added_mass"
@@ -87,7 +87,7 @@ class Payload(LoadEffect):
     """A point body of `mass` and `volume` fixed at (x, y, z) from `o`. Neutral: no mass, no volume.
 
     It adds rigid mass with its lever arms, weight and buoyancy, no added mass.
-    Source: parallel axes, Fossen (2021), eq. 3.36.
+    Source: parallel axes, after Fossen (2021).
     """
 
     name = "payload"
@@ -136,7 +136,7 @@ class Payload(LoadEffect):
 class Buoyancy(LoadEffect):
     """More buoyancy than the file says, `force` up at the centre of buoyancy. Neutral: 0.
 
-    Source: Fossen (2021), sec. 4.1.
+    Source: after Fossen (2021).
     """
 
     name = "buoyancy"
@@ -169,7 +169,7 @@ class Buoyancy(LoadEffect):
 
 
 class Trim(LoadEffect):
-    """The centre of buoyancy lies elsewhere, by (x, y, z). Neutral: 0. Source: Fossen (2021), sec. 4.1.1.
+    """The centre of buoyancy lies elsewhere, by (x, y, z). Neutral: 0. Source: after Fossen (2021).
 
     Only the moment of weight and buoyancy about `o` shows: a shift of the centre of gravity looks the same.
     """

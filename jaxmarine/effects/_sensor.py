@@ -20,7 +20,7 @@ def _with_velocity(readings: Readings, velocity) -> Readings:
 
 
 class VelocityLeverArm(SensorEffect):
-    """The velocity is that of the point (x, y, z): v + w x r. Neutral: 0. Source: Fossen (2021), eq. 14.4."""
+    """The velocity is that of the point (x, y, z): v + w x r. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "velocity_lever_arm"
     units = {"x": "m", "y": "m", "z": "m"}
@@ -146,7 +146,7 @@ class VelocityInEarthAxes(SensorEffect):
 
 
 class GyroBias(SensorEffect):
-    """Logged rates are the true ones plus a constant. Neutral: 0. Source: Fossen (2021), eq. 14.3."""
+    """Logged rates are the true ones plus a constant. Neutral: 0. Source: after Fossen (2021)."""
 
     name = "gyro_bias"
     units = {"p": "rad/s", "q": "rad/s", "r": "rad/s"}
@@ -179,7 +179,7 @@ class CompassDeviation(SensorEffect):
     """Logged heading is the true psi plus constant + cos cos(psi) + sin sin(psi). Neutral: 0.
 
     The coefficients A, B and C of a compass, by the true heading; the logged velocities are not touched.
-    Source: NGA, Handbook of Magnetic Compass Adjustment (2004), ch. 4.
+    Source: after NGA, Handbook of Magnetic Compass Adjustment (2004).
     """
 
     name = "compass_deviation"
@@ -213,7 +213,7 @@ class SensorDelay(AbstractEffect):
     """The channels of a kind show what was `delay` seconds before. Neutral: 0.
 
     What a sensor showed before is not known from one state: `physics.late` reads it along the track.
-    Source: transport delay; Fossen (2021), sec. 13.
+    Source: transport delay; after Fossen (2021).
     """
 
     name = "sensor_delay"

@@ -12,7 +12,7 @@ class SteadyCurrent(WaterEffect):
     """The water moves with a constant velocity in earth axes. Neutral: still water.
 
     It enters through the relative velocity and its time derivative in body axes, which is
-    `-w x R' v_c` for a constant `v_c`. Source: Fossen (2021), sec. 10.3.
+    `-w x R' v_c` for a constant `v_c`. Source: after Fossen (2021).
     """
 
     name = "steady_current"

@@ -14,7 +14,7 @@ from ._base import Craft, Motion, Suspect, WrenchEffect, free, per_dof, scalar, 
 
 
 class ConstantWrench(WrenchEffect):
-    """A constant force or moment in body axes. Neutral: 0. Source: thesis sec. 8.4 (unmodelled bias)."""
+    """A constant force or moment in body axes. Neutral: 0. Source: bias forces, after Fossen (2021)."""
 
     name = "constant_wrench"
     units = {"value": "N or N m"}
@@ -120,7 +120,7 @@ class HullLift(WrenchEffect):
 
     Neutral: 0. The forces oppose the drift going ahead and astern: with u in the place of |u| they would feed
     energy to a craft that goes astern. The moments change sign with u, as the Munk moment does.
-    Source: Fossen (2021), sec. 6.5 (lift and Munk moment); Prestero (2001), sec. 4.
+    Source: after Fossen (2021), on lift and Munk moment; Prestero (2001).
     """
 
     name = "hull_lift"
@@ -167,8 +167,8 @@ class HullLift(WrenchEffect):
 class TurningLift(WrenchEffect):
     """Lift of a hull that turns while it makes way: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
 
-    The moment brakes the turn going ahead and astern. Source: Fossen (2021), sec. 6.5 (lift of the hull and
-    its fins); Yasukawa and Yoshimura (2015), the linear yaw-rate terms of the hull forces.
+    The moment brakes the turn going ahead and astern. Source: after Fossen (2021), on lift of the hull and
+    its fins; Yasukawa and Yoshimura (2015), the linear yaw-rate terms of the hull forces.
     """
 
     name = "turning_lift"
@@ -200,7 +200,7 @@ class TurningLift(WrenchEffect):
 class TetherDrag(WrenchEffect):
     """Drag of a towed cable at `o`, along the relative velocity: -coefficient |v_r| v_r. Neutral: 0.
 
-    Source: cross-flow drag of a cable element, Fossen (2021), sec. 6.4; the three axes share one speed.
+    Source: cross-flow drag of a cable element, after Fossen (2021); the three axes share one speed.
     """
 
     name = "tether_drag"
@@ -230,7 +230,7 @@ class WindPush(WrenchEffect):
     """A constant force at `o` in earth axes, as a steady wind's on what stands out of the water. Neutral: 0.
 
     A vehicle file has no stiffness of a waterplane: what is free in heave is under water, where no wind
-    blows. Source: Fossen (2021), sec. 10.1 (wind forces), of a wind whose force does not turn with the craft.
+    blows. Source: after Fossen (2021), on wind forces; here one that does not turn with the craft.
     """
 
     name = "wind_push"
@@ -262,7 +262,7 @@ class WindPush(WrenchEffect):
 class Waves(WrenchEffect):
     """A regular wave force at `o` in earth axes: (north, east) sin(2 pi t / period + phase). Neutral: 0.
 
-    `t` is the log's own time. Source: first-order wave force, Fossen (2021), sec. 10.2.
+    `t` is the log's own time. Source: first-order wave force, after Fossen (2021).
     """
 
     name = "waves"
@@ -298,7 +298,7 @@ class Waves(WrenchEffect):
 class FluidMemory(WrenchEffect):
     """Damping that comes late: the wrench -m on its axis, time_constant m' = gain nu_r - m. Neutral: gain 0.
 
-    Source: the first-order approximation of Cummins' (1962) retardation function; Fossen (2021), sec. 5.4.
+    Source: the first-order approximation of Cummins' (1962) retardation function; after Fossen (2021).
     """
 
     name = "fluid_memory"

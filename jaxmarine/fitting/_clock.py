@@ -43,7 +43,7 @@ def clock_offset(log: Log, track: StateTrack, drive: Driven) -> ClockOffset | No
     The likelihood over an input delay $\delta$: what each velocity gains over half a second is regressed on
     the impulse of the commands at $t - \delta$ and on integrals of what else acts (velocities, their squares
     and products, tilt). All coefficients are free, so that a wrong vehicle file does not look like a delay.
-    The standard error is that of a jackknife over blocks (Efron and Tibshirani 1993, ch. 11).
+    The standard error is that of a jackknife over blocks (after Efron and Tibshirani 1993).
     """
     edges = np.arange(log.t[0] + _LARGEST, log.t[-1] - _LARGEST, STRETCH)
     force = drive.commanded[:, np.ptp(drive.commanded, axis=0) > 0]

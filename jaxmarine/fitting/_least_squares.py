@@ -38,7 +38,7 @@ class LinearSolution(eqx.Module):
 
 
 def solve_linear(matrix: Float[Array, "rows p"], right: Float[Array, " rows"]) -> LinearSolution:
-    """Least squares by QR with Householder reflections; Golub and Van Loan (2013), sec. 5.3.
+    """Least squares by QR with Householder reflections; after Golub and Van Loan (2013).
 
     Rows that are all zero, on both sides, do not count as samples.
     """

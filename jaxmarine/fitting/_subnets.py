@@ -12,8 +12,6 @@ The networks minimise the error of the acceleration, so noise in it does no harm
 targets carry M times that noise, and what is wrong in M.
 """
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,38 +19,14 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from .._types import DOFS, Matrix6, Velocity, Wrench
-from ..physics import apply, coriolis
+from ..networks import DampingNetworks, NetworkDamping, Perceptron, perceptron
+from ..networks._subnets import FORMS, LOWER, SKEW, Form, with_magnitudes
+from ..physics import coriolis
+from ..vehicle import Placed, Vehicle
 from ._least_squares import solve_linear
 from ._levenberg_marquardt import fit_samples
 
 Motions = Float[Array, "times 6"]
-Form = Literal["free", "zero_at_rest", "dissipative"]
-
-_LOWER = np.tril_indices(6)
-_SKEW = np.tril_indices(6, -1)
-
-
-class Perceptron(eqx.Module):
-    """One hidden layer of hyperbolic tangents and a linear node for each output."""
-
-    weight_1: Float[Array, "hidden inputs"]
-    bias_1: Float[Array, " hidden"]
-    weight_2: Float[Array, "outputs hidden"]
-    bias_2: Float[Array, " outputs"]
-
-    def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
-        return apply(self.weight_2, jnp.tanh(apply(self.weight_1, x) + self.bias_1)) + self.bias_2
-
-
-def perceptron(inputs: int, hidden: int, outputs: int, key: PRNGKeyArray) -> Perceptron:
-    """Random weights for inputs and outputs of size one."""
-    first, second, third = jax.random.split(key, 3)
-    return Perceptron(
-        weight_1=jax.random.normal(first, (hidden, inputs)) / np.sqrt(inputs),
-        bias_1=jax.random.uniform(second, (hidden,), minval=-1.0, maxval=1.0),
-        weight_2=jax.random.normal(third, (outputs, hidden)) / np.sqrt(hidden),
-        bias_2=jnp.zeros(outputs),
-    )
 
 
 class AccelerationNetworks(eqx.Module):
@@ -68,50 +42,6 @@ class AccelerationNetworks(eqx.Module):
         x = (jnp.concatenate([nu, force]) - self.input_mean) / self.input_scale
         out = jax.vmap(lambda net: net(x)[0])(self.networks)
         return self.output_mean + self.output_scale * out
-
-
-class DampingNetworks(eqx.Module):
-    """D(nu) nu [N, N m] as networks of (nu, |nu|).
-
-    - `form`: "free" and "zero_at_rest" are six networks of one output each, the second less its value at
-      rest; "dissipative" is one network for the entries of D(nu) = L L' + K with L lower triangular and K
-      skew, so that nu' D(nu) nu is never negative.
-    """
-
-    networks: Perceptron
-    input_scale: Float[Array, "6"]
-    output_mean: Float[Array, "6"]
-    output_scale: Float[Array, "6"]
-    form: Form = eqx.field(static=True)
-
-    def __call__(self, nu: Velocity) -> Wrench:
-        x = _with_magnitudes(nu / self.input_scale)
-        if self.form == "dissipative":
-            shown = _dissipative(self.networks, x)
-        else:
-            shown = jax.vmap(lambda net: _FORMS[self.form](net, x)[0])(self.networks)
-        return self.output_mean + self.output_scale * shown
-
-
-def _with_magnitudes(x: Velocity) -> Float[Array, "12"]:
-    return jnp.concatenate([x, jnp.abs(x)])
-
-
-def _zero_at_rest(network: Perceptron, x: Float[Array, "12"]) -> Float[Array, " outputs"]:
-    return network(x) - network(jnp.zeros_like(x))
-
-
-def _dissipative(network: Perceptron, x: Float[Array, "12"]) -> Float[Array, "6"]:
-    """(L L' + K) x with the network's entries; in scaled units, which leave the sign of the power only
-    where forces and velocities are scaled alike (`train_damping` sees to that)."""
-    entries = network(x)
-    factor = jnp.zeros((6, 6)).at[_LOWER].set(entries[: len(_LOWER[0])])
-    skew = jnp.zeros((6, 6)).at[_SKEW].set(entries[len(_LOWER[0]) :])
-    return (factor @ factor.T + skew - skew.T) @ x[:6]
-
-
-# What a network of the damping shows for scaled velocities and their magnitudes.
-_FORMS = {"free": Perceptron.__call__, "zero_at_rest": _zero_at_rest, "dissipative": _dissipative}
 
 
 class NetworkIdentification(eqx.Module):
@@ -133,6 +63,22 @@ class NetworkIdentification(eqx.Module):
     acceleration: AccelerationNetworks | None
     acceleration_cost: Float[Array, "starts networks"] | None
     damping_cost: Float[Array, "starts networks"]
+
+    def vehicle(self, vehicle: Vehicle) -> Vehicle:
+        """A vehicle whose mass and damping are those that were found, for simulation and control.
+
+        - `vehicle`: gives all else: propulsion, restoring forces, actuators. Its own damping is taken away,
+          and its added mass becomes what the found mass has beside its body's.
+
+        A mass that is not symmetric gives momentum no meaning: its symmetric part is taken, as for Coriolis.
+        """
+        nothing = jnp.zeros((6, 6))
+        bare = eqx.tree_at(
+            lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic),
+            vehicle,
+            (0.5 * (self.mass + self.mass.T) - vehicle.body.matrix, nothing, nothing),
+        )
+        return bare.place(Placed(NetworkDamping(networks=self.damping, inputs=DOFS)))
 
 
 def identify_by_networks(
@@ -254,7 +200,7 @@ def train_acceleration(
     mean, scale = inputs.mean(axis=0), _spread(inputs)
     out_mean, out_scale = nu_dot.mean(axis=0), _spread(nu_dot)
     x, y = (inputs - mean[None]) / scale[None], (nu_dot - out_mean[None]) / out_scale[None]
-    networks, cost = _train_each(_FORMS["free"], x, y, key, hidden, epochs, restarts)
+    networks, cost = _train_each(FORMS["free"], x, y, key, hidden, epochs, restarts)
     return AccelerationNetworks(networks, mean, scale, out_mean, out_scale), cost
 
 
@@ -276,12 +222,12 @@ def train_damping(
         # One power for all axes, so that force times velocity keeps its sign: output 1 / input on each axis.
         out_scale = (out_scale * scale).mean() / scale
     out_mean = targets.mean(axis=0) if form == "free" else jnp.zeros(6)
-    x = jax.vmap(_with_magnitudes)(nu / scale[None])
+    x = jax.vmap(with_magnitudes)(nu / scale[None])
     y = (targets - out_mean[None]) / out_scale[None]
-    shown = _FORMS[form]
+    shown = FORMS[form]
     if form == "dissipative":
         size = jnp.std(y, axis=0)
-        entries = len(_LOWER[0]) + len(_SKEW[0])
+        entries = len(LOWER[0]) + len(SKEW[0])
         starts = jax.vmap(lambda k: perceptron(12, hidden, entries, k))(jax.random.split(key, restarts))
 
         def error(net, sample):

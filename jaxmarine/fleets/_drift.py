@@ -37,7 +37,7 @@ def level(charts: int, rate: float = _FALSE) -> float:
     """Where one of so many one-sided charts raises an alarm, so that all together do at a rate per dive.
 
     From the mean number of dives to an alarm of a CUSUM without drift, (exp(2 k b) - 2 k b - 1) / (2 k²) with
-    b = h + 1.166. Source: Siegmund (1985), Sequential Analysis, Springer, sec. 2.6 and 10.2.
+    b = h + 1.166. Source: after Siegmund (1985), Sequential Analysis, Springer.
     """
     k = _SLACK
 

@@ -37,7 +37,7 @@ def torpedo_drag(hull: Hull, diameter: float) -> float:
 
     Its surface is taken to be 0.85 of that of a cylinder.
 
-    Source: after Hoerner (1965), Fluid-Dynamic Drag, sec. 6-2; friction by ITTC (1957).
+    Source: after Hoerner (1965), Fluid-Dynamic Drag; friction by ITTC (1957).
     """
     thickness = diameter / hull.length
     form = 1.0 + 1.5 * thickness**1.5 + 7.0 * thickness**3

@@ -19,7 +19,7 @@ def lamb(slenderness: float) -> tuple[float, float, float]:
     - `slenderness`: length over diameter a / b; below 1 (a disc) the sphere's are given.
 
     Source: Lamb (1932), Hydrodynamics, and Imlay (1961), DTMB report 1528, as `imlay61` of cybergalactic/MSS
-    writes them after Fossen (2021), sec. 8.4.2.
+    writes them after Fossen (2021).
     """
     e2 = 1.0 - 1.0 / max(slenderness, 1.0) ** 2
     if e2 < _ROUND:

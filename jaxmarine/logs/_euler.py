@@ -13,7 +13,7 @@ def turns_of(angles: Float[np.ndarray, "*times 3"]) -> Rotation:
 
 
 def matrices_of(angles: Float[np.ndarray, "*times 3"]) -> Float[np.ndarray, "*times 3 3"]:
-    """The matrices of these rotations (Fossen 2021, eq. 2.31), which scipy takes ten times as long for."""
+    """The matrices of these rotations (after Fossen 2021), which scipy takes ten times as long for."""
     sf, st, sp = np.moveaxis(np.sin(angles), -1, 0)
     cf, ct, cp = np.moveaxis(np.cos(angles), -1, 0)
     rows = [

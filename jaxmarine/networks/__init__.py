@@ -23,9 +23,19 @@ from ._rbf import basis_of as basis_of
 from ._rbf import grow as grow
 from ._rbf import rbf_damping as rbf_damping
 from ._seen import Seen as Seen
+from ._subnets import DampingNetworks as DampingNetworks
+from ._subnets import NetworkDamping as NetworkDamping
+from ._subnets import Perceptron as Perceptron
+from ._subnets import perceptron as perceptron
 from ._term import LearnedTerm as LearnedTerm
 from ._thrust import LearnedThrust as LearnedThrust
 from ._thrust import learned_thrust as learned_thrust
 
 # What a vehicle file may name with a file of arrays beside it.
-LEARNED: tuple[type[LearnedTerm], ...] = (LearnedWrench, MLPDamping, RBFDamping, LearnedThrust)
+LEARNED: tuple[type[LearnedTerm], ...] = (
+    LearnedWrench,
+    MLPDamping,
+    RBFDamping,
+    NetworkDamping,
+    LearnedThrust,
+)

@@ -27,7 +27,7 @@ class LearnedThrust(LearnedTerm, DriveEffect):
 
     A command of zero gives no thrust but the file's, by construction. The curve is neither odd nor monotone:
     a fouled propeller is weaker one way, and where the data are poor a prior on w holds the file's curve.
-    Source: thesis sec. 8.4 (networks for actuators); steady and first-order thrust, Fossen (2021), sec. 9.1.
+    Source: thesis sec. 8.4 (networks for actuators); steady and first-order thrust, after Fossen (2021).
     """
 
     name: ClassVar[str] = "learned_thrust"

@@ -10,14 +10,14 @@ from ._frames import apply, skew
 def rigid_body_matrix(mass: Scalar, inertia: Matrix3, cog: Vector3) -> Matrix6:
     """M_RB about `o` from mass [kg], inertia about `o` [kg m²] and centre of gravity [m].
 
-    Fossen (2021), eq. 3.48.
+    After Fossen (2021).
     """
     lever = mass * skew(cog)
     return jnp.block([[mass * jnp.eye(3), -lever], [lever, inertia]])
 
 
 def coriolis(matrix: Matrix6, nu: Velocity) -> Wrench:
-    """The wrench `C(nu) nu` of a symmetric mass matrix (Kirchhoff's equations; Fossen 2021, eq. 3.62).
+    """The wrench `C(nu) nu` of a symmetric mass matrix (Kirchhoff's equations; after Fossen 2021).
 
     With the momentum `(a, b) = M nu` it is `(w x a, v x a + w x b)`, so `nu' C(nu) nu = 0`.
     """
@@ -48,7 +48,7 @@ class Load(eqx.Module):
     def restoring(self, down: Vector3) -> Wrench:
         """g(eta), on the left-hand side; `down` is the unit vector downwards in body axes.
 
-        Fossen (2021), eq. 4.6; the sign of row 6 as in the book, not as in the thesis' (4.7).
+        after Fossen (2021); row 6 has the sign of moments about `o`, which the thesis' (4.7) has not.
         """
         force = (self.weight - self.buoyancy) * down
         moment = jnp.cross(self.weight_moment - self.buoyancy_moment, down)

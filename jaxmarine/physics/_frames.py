@@ -7,7 +7,7 @@ from .._types import Matrix3, Quaternion, Scalar, Vector3
 
 
 def skew(a: Vector3) -> Matrix3:
-    """The matrix `S(a)` with `S(a) b = a x b` (Fossen 2021, eq. 2.5)."""
+    """The matrix `S(a)` with `S(a) b = a x b` (after Fossen 2021)."""
     zero = jnp.zeros_like(a[0])
     return jnp.stack(
         [
@@ -37,7 +37,7 @@ def norm(a: Vector3) -> Scalar:
 
 
 def rotation(attitude: Quaternion) -> Matrix3:
-    """Rotation body to world of a quaternion `(w, x, y, z)` of any length (Fossen 2021, eq. 2.72)."""
+    """Rotation body to world of a quaternion `(w, x, y, z)` of any length (after Fossen 2021)."""
     w, x, y, z = attitude / jnp.sqrt((attitude * attitude).sum())
     return jnp.stack(
         [
@@ -49,7 +49,7 @@ def rotation(attitude: Quaternion) -> Matrix3:
 
 
 def attitude_rate(attitude: Quaternion, omega: Vector3) -> Quaternion:
-    """Time derivative of the quaternion under body rates `omega` [rad/s] (Fossen 2021, eq. 2.77)."""
+    """Time derivative of the quaternion under body rates `omega` [rad/s] (after Fossen 2021)."""
     w, x, y, z = attitude
     p, q, r = omega
     return 0.5 * jnp.stack(
@@ -82,7 +82,7 @@ def compose(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def from_euler(angles: Vector3) -> Quaternion:
-    """Quaternion of roll, pitch, yaw (ZYX) [rad] (Fossen 2021, sec. 2.2.3)."""
+    """Quaternion of roll, pitch, yaw (ZYX) [rad] (after Fossen 2021)."""
     (sr, sp, sy), (cr, cp, cy) = jnp.sin(0.5 * angles), jnp.cos(0.5 * angles)
     return jnp.stack(
         [
