@@ -726,8 +726,8 @@ def watch(
     source: Annotated[
         str,
         typer.Argument(
-            help="A CSV that grows, `-` (a CSV on standard input), `udp://HOST:PORT` (MAVLink), or a recording "
-            "that is replayed (.tlog, ROS 2 bag, ...).",
+            help="A CSV that grows, `-` (a CSV on standard input), `udp://HOST:PORT` (MAVLink), or a "
+            "recording that is replayed (.tlog, ROS 2 bag, ...).",
             metavar="SOURCE",
             show_default=False,
         ),

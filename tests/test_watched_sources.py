@@ -1,5 +1,6 @@
 """Sources of rows and the page of a watch: what comes in bit by bit, and who may read."""
 
+import _socket
 import http.client
 import io
 import json
@@ -7,7 +8,6 @@ import os
 import socket
 import time
 
-import _socket
 import numpy as np
 import pytest
 
@@ -214,7 +214,7 @@ def test_a_source_that_stops_is_told(monkeypatch):
         "link goes on.",
         "link has ended.",
     ]
-    assert len(watch.waiting) == 2
+    assert len(watch.opening) == 2
 
 
 def asked(page: Page, path: str, host: str | None = None, method: str = "GET"):

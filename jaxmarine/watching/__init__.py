@@ -2,6 +2,5 @@
 
 import lazy_loader
 
-# The names are those of `__init__.pyi`. A watch in memory needs none of the packages that sources and the page
-# need.
+# The names are those of `__init__.pyi`. A watch in memory needs none of what sources and the page need.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from .._compiled import compiled
 from .._errors import InputError
-from .._types import DOFS
 from ..diagnosis import Coefficient, Layout, SaturatedPlant, base_coefficients, parts_of, saturate, strength
 from ..effects import AbstractEffect
 from ..fitting import (
@@ -24,6 +23,7 @@ from ..fitting import (
     USUAL_SIZE,
     Affine,
     Disturbance,
+    Line,
     Message,
     Path,
     Problem,
@@ -87,17 +87,6 @@ class Rows:
             names,
             name,
         )
-
-
-class Said(NamedTuple):
-    """What blocks say of the catalogue's parameters z, each given all before it.
-
-    - `minus_twice` the logarithm of the likelihood; `g` its slope by half, `h` its information, at z = 0.
-    """
-
-    minus_twice: Float[np.ndarray, " blocks"]
-    g: Float[np.ndarray, "blocks z"]
-    h: Float[np.ndarray, "blocks z z"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,13 +203,13 @@ class Bench:
         attitude = np.concatenate([np.repeat(track.attitude[:1], kept, axis=0), track.attitude])
         velocity = np.concatenate([np.repeat(track.nu[:1], kept, axis=0), track.nu])
         records = Records(
-            t=t[None],
-            dt=np.diff(t, append=2 * t[-1] - t[-2])[None],
-            commands=filled(rows.commands)[None],
-            wrench=filled(rows.wrench)[None],
-            attitude=quaternions_of(attitude)[None],
-            velocity=velocity[None],
-            segment=np.zeros((1, len(t)), int),
+            t=jnp.asarray(t[None]),
+            dt=jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None]),
+            commands=jnp.asarray(filled(rows.commands)[None]),
+            wrench=jnp.asarray(filled(rows.wrench)[None]),
+            attitude=jnp.asarray(quaternions_of(attitude)[None]),
+            velocity=jnp.asarray(velocity[None]),
+            segment=jnp.zeros((1, len(t)), int),
         )
         measured = filled(rows.channels)[here]
         usable = np.isfinite(measured) & np.isin(np.arange(18), self.channels)
@@ -229,26 +218,21 @@ class Bench:
         weight[steep, 3] = weight[steep, 5] = 0.0
         first = len(near.t) - self.steps - 1
         if begun is None:
-            position, turn, nu = (
-                track.position[first],
-                quaternions_of(track.attitude[first : first + 1])[0],
-                (track.nu[first]),
-            )
-            wrench = np.zeros(len(self.axes))
-        else:
-            position, turn, nu, wrench = begun.position, begun.attitude, begun.velocity, begun.wrench
+            turn = quaternions_of(track.attitude[first : first + 1])[0]
+            begun = Begun(track.position[first], turn, track.nu[first], np.zeros(len(self.axes)))
         windows = Windows(
-            log=np.zeros(1, int),
-            step=np.arange(here.start, here.stop)[None],
-            measured=np.where(usable, measured, 0.0)[None],
-            weight=weight[None],
-            position=position[None],
-            attitude=turn[None],
-            velocity=nu[None],
+            log=jnp.zeros(1, int),
+            step=jnp.arange(here.start, here.stop)[None],
+            measured=jnp.asarray(np.where(usable, measured, 0.0)[None]),
+            weight=jnp.asarray(weight[None]),
+            position=jnp.asarray(begun.position[None]),
+            attitude=jnp.asarray(begun.attitude[None]),
+            velocity=jnp.asarray(begun.velocity[None]),
         )
         problem = Problem(
             SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed)))),
-            *jax.tree.map(jnp.asarray, (records, windows)),
+            records,
+            windows,
             jnp.asarray(start_precision(self.vehicle.free)),
             self.channels,
             jnp.asarray(split),
@@ -257,7 +241,7 @@ class Bench:
         size = self.layout.size
         affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
         force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
-        path = Path(jnp.zeros((1, 12)), jnp.asarray(wrench[None]))
+        path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.wrench[None]))
         window = lines(problem, affine, force, path)[0]
         return jax.tree.map(lambda a: np.asarray(a)[0], window)
 
@@ -265,17 +249,15 @@ class Bench:
     def empty(self) -> Windowed:
         """A block in which nothing was measured."""
         rows, columns, axes = len(self.channels), self.layout.size + 1, len(self.axes)
-        from ..fitting import Line
-
         line = Line(
-            f=np.zeros((self.steps, 13, 13 + axes)),
-            h=np.zeros((self.steps, rows, 13 + axes)),
-            residual=np.zeros((self.steps, rows, columns)),
-            dt=np.full(self.steps, self.dt),
-            begin=np.eye(13, 12),
+            f=jnp.zeros((self.steps, 13, 13 + axes)),
+            h=jnp.zeros((self.steps, rows, 13 + axes)),
+            residual=jnp.zeros((self.steps, rows, columns)),
+            dt=jnp.full(self.steps, self.dt),
+            begin=jnp.eye(13, 12),
         )
-        gap, joined = np.zeros(()), np.zeros((), bool)
-        return Windowed(line, np.zeros(13), np.zeros((13, columns)), np.zeros(12), gap, joined)
+        nothing = jnp.zeros(()), jnp.zeros((), bool)
+        return Windowed(line, jnp.zeros(13), jnp.zeros((13, columns)), jnp.zeros(12), *nothing)
 
 
 class Begun(NamedTuple):
@@ -315,7 +297,3 @@ def replayed(message: Message, every: Windowed, force: Disturbance, spread, coun
 
     message, said = jax.lax.scan(each, message, (every, jnp.arange(len(every.gap))))
     return said, message
-
-
-def axis_names(bench: Bench) -> list[str]:
-    return [DOFS[axis] for axis in bench.axes]

@@ -1,8 +1,7 @@
-"""What blocks say of suspects, from any beginning on: sums, and the nats that follow from them.
+"""What sums over blocks say of suspects, from any beginning on: the nats of a linear model.
 
 Gradient and information of all parameters add up over blocks, and what is said from a beginning on is the
-whole less what was said before. So a few sums kept from earlier tell of suspects that begin there, and memory
-stays constant: beginnings that are long ago are kept with gaps that grow with their age.
+whole less what was said before. So a few sums tell of suspects that begin there.
 """
 
 import dataclasses
@@ -12,96 +11,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..fitting import Disturbance, Message
-
-# Beginnings before the blocks that are held, at most.
-KEPT = 24
 # A direction of which known ones leave less than this share says nothing of its own.
 OWN = 1e-8
 # Precision that stands for no prior, as in a diagnosis.
 TRACE = 1e-8
 
 
-# Columns of z, and since when they act [s].
-Gate = tuple[tuple[int, ...], float]
-
-
 class Sum(NamedTuple):
-    """What was said until `t` [s]: `count` of measured numbers, gradient and information of z."""
+    """What was said until a time `t` [s], or from it on; -inf: all.
 
-    t: float
-    count: int
-    g: Float[np.ndarray, " z"]
-    h: Float[np.ndarray, "z z"]
-
-
-@dataclasses.dataclass
-class Account:
-    """What blocks say beside one disturbance.
-
-    - `message`: what is known where the last block ends, `before`: where the held ones begin.
-    - `minus_twice`, `sums`: of the blocks that are held no more; beginnings among them, the last one now.
-    - `said`: per block that is held -2 log p, gradient, information.
-    - `learned`: covariance of the logarithms of sizes and memories (`fitting.estimated`).
-    - `gates`: columns of z that act from a time on [s] only.
+    - `seen`: how many numbers were measured; `g`, `h`: half the slope of -2 log p by the catalogue's
+      parameters z at z = 0, and their information.
     """
 
-    force: Disturbance
-    before: Message
-    message: Message
-    minus_twice: float
-    sums: list[Sum]
-    said: tuple[np.ndarray, np.ndarray, np.ndarray]
-    learned: Float[np.ndarray, "logarithms logarithms"]
-    gates: tuple[Gate, ...] = ()
-
-    def branched(self) -> "Account":
-        said = tuple(np.array(one) for one in self.said)
-        return dataclasses.replace(self, sums=list(self.sums), said=said)  # pyright: ignore
-
-
-class Since(NamedTuple):
-    """All that is said from one time on; `t` is that time, or -inf for always."""
-
     t: float
-    count: int
+    seen: int
     g: Float[np.ndarray, " z"]
     h: Float[np.ndarray, "z z"]
-
-
-def since_each(account: Account, held: int, every: int, begun, counts) -> list[Since]:
-    """From always, then from each beginning that is kept, and from every so many of the blocks held.
-
-    - `begun` [s], `counts`: where each held block begins, and the measured numbers in it.
-    """
-    _, g, h = account.said
-    starts = np.arange(0, held, every)
-    last = account.sums[-1]
-    g_of = np.add.reduceat(g[:held], starts) if held else np.zeros((0, len(last.g)))
-    h_of = np.add.reduceat(h[:held], starts) if held else np.zeros((0, *last.h.shape))
-    n_of = np.add.reduceat(counts[:held], starts) if held else np.zeros(0, int)
-    out = []
-    g_now, h_now, n_now = np.zeros_like(last.g), np.zeros_like(last.h), 0
-    for k in reversed(range(len(starts))):
-        g_now, h_now, n_now = g_now + g_of[k], h_now + h_of[k], n_now + int(n_of[k])
-        out.append(Since(float(begun[starts[k]]), n_now, g_now, h_now))
-    total = Since(-np.inf, last.count + n_now, last.g + g_now, last.h + h_now)
-    for one in reversed(account.sums[:-1]):
-        out.append(Since(one.t, total.count - one.count, total.g - one.g, total.h - one.h))
-    return [total, *(one for one in reversed(out) if one.count < total.count)]
-
-
-def thinned(sums: list[Sum], pinned: Sequence[float]) -> list[Sum]:
-    """At most `KEPT` beginnings: of neighbours goes the one whose loss leaves the least gap for its age."""
-    sums = list(sums)
-    while len(sums) > KEPT + 1 + len(pinned):
-        now = sums[-1].t
-        gaps = [
-            np.inf if sums[i].t in pinned else (sums[i + 1].t - sums[i - 1].t) / (now - sums[i - 1].t + 1e-9)
-            for i in range(1, len(sums) - 1)
-        ]
-        del sums[1 + int(np.argmin(gaps))]
-    return sums
 
 
 class Member(NamedTuple):
@@ -119,7 +45,7 @@ class Suspicions:
     precision: Float[np.ndarray, " base"]
     columns: tuple[Float[np.ndarray, "z _"], ...]
 
-    def _known(self, since: Sequence[Since], members: Sequence[Member]):
+    def _known(self, since: Sequence[Sum], members: Sequence[Member]):
         """Matrix and slope of what is known; per column its own columns of z and its beginning."""
         parts = [(np.eye(len(since[0].g))[:, self.base], 0)]
         parts += [(self.columns[m.suspect], place(since, m.since)) for m in members]
@@ -134,23 +60,23 @@ class Suspicions:
         h += np.diag(np.concatenate([self.precision, np.full(at[-1] - size[0], TRACE)]))
         return parts, h, g
 
-    def estimate(self, since: Sequence[Since], members: Sequence[Member]) -> Float[np.ndarray, " known"]:
+    def estimate(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, " known"]:
         """The file's coefficients' changes and each member's parameters."""
         _, h, g = self._known(since, members)
         return -solved(h, g)
 
-    def covariance(self, since: Sequence[Since], members: Sequence[Member]) -> np.ndarray:
+    def covariance(self, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
         _, h, _ = self._known(since, members)
         return solved(h, np.eye(len(h)))
 
-    def gained(self, since: Sequence[Since], members: Sequence[Member]) -> float:
+    def gained(self, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Nats by which the known parameters make all likelier than z = 0 does, the file's integrated out."""
         _, h, g = self._known(since, members)
-        count = len(self.base)
-        width = np.linalg.slogdet(h[:count, :count] / np.sqrt(np.outer(self.precision, self.precision)))[1]
+        size = len(self.base)
+        width = np.linalg.slogdet(h[:size, :size] / np.sqrt(np.outer(self.precision, self.precision)))[1]
         return 0.5 * float(g @ solved(h, g)) - 0.5 * float(width)
 
-    def nats(self, since: Sequence[Since], members: Sequence[Member]) -> Float[np.ndarray, "suspects begun"]:
+    def nats(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, "suspects begun"]:
         """Of every suspect beside the known ones, for every beginning; -inf of the members.
 
         Each parameter pays half the logarithm of the numbers measured since (Schwarz), as in a diagnosis.
@@ -169,7 +95,7 @@ class Suspicions:
             g = every.T @ one.g - h_kc.T @ (factor @ g_k)
             own, whole = np.diag(h), np.diag(h_whole)
             tells = own > OWN * whole + 1e-300
-            price = 0.5 * np.log(max(one.count, 2))
+            price = 0.5 * np.log(max(one.seen, 2))
             alone = np.where(tells, 0.5 * g**2 / np.where(tells, own, 1.0), 0.0)
             for i in range(len(self.columns)):
                 if i in taken:
@@ -184,11 +110,11 @@ class Suspicions:
         return out
 
 
-def later(since: Sequence[Since], a: int, b: int) -> int:
+def later(since: Sequence[Sum], a: int, b: int) -> int:
     return a if since[a].t >= since[b].t else b
 
 
-def place(since: Sequence[Since], t: float) -> int:
+def place(since: Sequence[Sum], t: float) -> int:
     """The beginning that is nearest to a time."""
     if t == -np.inf:
         return 0

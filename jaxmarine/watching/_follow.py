@@ -29,8 +29,8 @@ def follow(
         told, place = kept.opened(watch)
         for sentence in told:
             say(sentence)
-        if watch.blocks:
-            say(f"Goes on from t = {watch.t:g} s, as it was kept.")
+        if watch.intake.last is not None:
+            say(f"Goes on from t = {watch.intake.last:g} s, as it was kept.")
         if place is not None and source.place is not None:
             source.go_on(place[0])
             skip = place[1]

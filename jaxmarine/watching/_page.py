@@ -6,13 +6,14 @@ from collections import deque
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
 from .._extras import of_extra
 from ..physics import to_euler
-from ._told import sentence_of
-from ._watch import Status, Watch, moment_of
+from ._status import Status, moment_of, sentence_of
+from ._watch import Watch
 
 with of_extra("report", "The page of a watch"):
     import jinja2
@@ -52,7 +53,7 @@ def told_of(watch: Watch, history: History, source: str) -> dict:
     status = watch.status
     state = {}
     if status.state is not None:
-        angles = np.degrees(np.asarray(to_euler(status.state.attitude)))
+        angles = np.degrees(np.asarray(to_euler(jnp.asarray(status.state.attitude))))
         values = [*status.state.position, *angles, *status.state.velocity[:3]]
         values += [*np.degrees(status.state.velocity[3:])]
         units = ["m"] * 3 + ["deg"] * 3 + ["m/s"] * 3 + ["deg/s"] * 3

@@ -1,8 +1,8 @@
 """A watch kept on disk, so that a restart goes on where it was.
 
-A snapshot of what blocks have said, written whole or not at all whenever older blocks are let go, and the rows
-since then, line by line. To go on is to take the snapshot and those rows once more: what was computed between
-is computed again, and comes out the same.
+A snapshot of what blocks have said, written whole or not at all whenever older blocks are let go, and the
+rows since then, line by line. To go on is to take the snapshot and those rows once more: what was computed
+between is computed again, and comes out the same.
 """
 
 import dataclasses
@@ -20,14 +20,18 @@ import numpy as np
 from .._errors import InputError
 from .._files import written_whole
 from ._blocks import Begun, Bench, Rows
-from ._evidence import Account, Member, Sum
-from ._watch import CHUNK, Name, Watch
+from ._evidence import Member, Sum
+from ._ledger import CHUNK, Account
+from ._status import Name
+from ._watch import Watch
 
 # Of a source, and rows after it that were taken (`_follow.py`); None where it has none.
 Place = list[int] | None
 
-_PLAIN = ("t", "blocks", "estimated_at", "estimated_once", "gap", "within", "next", "split", "patience")
-_ARRAYS = ("begun_at", "counts", "speed")
+# What is plain numbers.
+_COURSE = ("gap", "within", "next", "split")
+_LEDGER = ("t", "blocks", "held", "let_go")
+_JUDGE = ("estimated_at", "patience")
 
 
 class Kept:
@@ -68,10 +72,10 @@ class Kept:
 
     def after(self, watch: Watch, place: Place) -> None:
         """Writes a snapshot where the watch has let blocks go since the last one."""
-        if watch.bench is None or watch.committed == max(self._generation, 0):
+        if watch.parts is None or watch.parts.ledger.let_go == max(self._generation, 0):
             return
         save(watch, self.path, place)
-        self._generation = watch.committed
+        self._generation = watch.parts.ledger.let_go
         self._file.close()
         # Rows of an older generation are read no more, whether they go or a kill comes first.
         self._file = self.journal.open("wb")
@@ -92,40 +96,40 @@ def _print_of(watch: Watch) -> str:
 
 def save(watch: Watch, path: Path, place: Place) -> None:
     """Writes all that a watch holds, whole or not at all."""
-    bench, rows = watch.bench, watch.rows
-    assert bench is not None
-    arrays: dict[str, Any] = {"noise": bench.noise}
-    arrays |= {name: getattr(watch, name) for name in _ARRAYS}
-    for i, leaf in enumerate(jax.tree.leaves(watch.windows)):
-        arrays[f"windows{i}"] = leaf[:CHUNK]
-    for i, account in enumerate(watch.accounts):
+    assert watch.parts is not None
+    bench, course, ledger, judge = watch.parts
+    arrays: dict[str, Any] = {"noise": bench.noise, "speed": course.speed}
+    arrays |= {"begun_at": ledger.begun_at[:CHUNK], "counts": ledger.counts[:CHUNK]}
+    arrays |= {f"windows{i}": leaf[:CHUNK] for i, leaf in enumerate(jax.tree.leaves(ledger.windows))}
+    if judge.nats is not None:
+        arrays["nats"] = judge.nats
+    for i, account in enumerate(ledger.accounts):
         for what in ("before", "message", "force"):
             for j, leaf in enumerate(jax.tree.leaves(getattr(account, what))):
                 arrays[f"{what}{i}_{j}"] = np.asarray(leaf)
         arrays[f"learned{i}"] = account.learned
-        for j, one in enumerate(account.said):
-            arrays[f"said{i}_{j}"] = one[:CHUNK]
-        for j, one in enumerate(zip(*account.sums, strict=True)):
-            arrays[f"sums{i}_{j}"] = np.array(one)
-    for what, some in (("rows", rows), ("waiting", Rows.joined(*watch.waiting) if watch.waiting else None)):
-        for j, one in enumerate(some.arrays if some is not None else ()):
-            arrays[f"{what}{j}"] = one
-    if watch.begun is not None:
-        arrays |= {f"begun{j}": np.asarray(one) for j, one in enumerate(watch.begun)}
+        arrays |= {f"said{i}_{j}": one[:CHUNK] for j, one in enumerate(account.said)}
+        arrays |= {f"sums{i}_{j}": np.array(one) for j, one in enumerate(zip(*account.sums, strict=True))}
+    waiting = Rows.joined(*course.waiting) if course.waiting else None
+    for what, some in (("rows", course.rows), ("waiting", waiting)):
+        arrays |= {f"{what}{j}": one for j, one in enumerate(() if some is None else some.arrays)}
+    if course.begun is not None:
+        arrays |= {f"begun{j}": np.asarray(one) for j, one in enumerate(course.begun)}
     intake = watch.intake
     meta = {
         "vehicle": _print_of(watch),
         "place": place,
-        "held": watch.held,
-        "committed": watch.committed,
         "dt": bench.dt,
-        "accounts": [[account.minus_twice, account.gates] for account in watch.accounts],
-        "members": [[m.suspect, None if m.since == -np.inf else m.since] for m in watch.members],
-        "named": [dataclasses.asdict(one) for one in watch.named],
-        "undecided": watch.undecided,
+        "course": [_plain(getattr(course, name)) for name in _COURSE],
+        "ledger": [_plain(getattr(ledger, name)) for name in _LEDGER],
+        "judge": [_plain(getattr(judge, name)) for name in _JUDGE],
+        "accounts": [[account.minus_twice, account.gates] for account in ledger.accounts],
+        "members": [[m.suspect, None if m.since == -np.inf else m.since] for m in judge.members],
+        "named": [dataclasses.asdict(one) for one in judge.named],
+        "undecided": judge.undecided,
         "told": watch.told,
         "intake": [intake.last, intake.offset, intake.held.tolist(), intake.driven, sorted(intake.said)],
-    } | {name: _plain(getattr(watch, name)) for name in _PLAIN}
+    }
     arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), np.uint8)
     with written_whole(path) as beside, beside.open("wb") as file:
         np.savez(file, **arrays)
@@ -149,56 +153,52 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
         ) from error
     if meta["vehicle"] != _print_of(watch):
         raise InputError(f"{path}: is the state of a watch of another vehicle; choose another, or remove it.")
-    bench = Bench.with_noise(watch.vehicle, arrays["noise"], meta["dt"], watch.catalogue)
-    watch.begin(bench)
-    for i, leaf in enumerate(jax.tree.leaves(watch.windows)):
+    _, course, ledger, judge = watch.begin(
+        Bench.with_noise(watch.vehicle, arrays["noise"], meta["dt"], watch.catalogue)
+    )
+    for part, names in (("course", _COURSE), ("ledger", _LEDGER), ("judge", _JUDGE)):
+        one = {"course": course, "ledger": ledger, "judge": judge}[part]
+        for name, value in zip(names, meta[part], strict=True):
+            setattr(one, name, value)
+
+    def several(name: str) -> list[np.ndarray]:
+        return [arrays[f"{name}{j}"] for j in range(4)] if f"{name}0" in arrays else []
+
+    course.speed = arrays["speed"]
+    course.rows = Rows(*some) if (some := several("rows")) else None
+    course.waiting = [Rows(*some)] if (some := several("waiting")) else []
+    course.begun = Begun(*some) if (some := several("begun")) else None
+    ledger.begun_at[:CHUNK], ledger.counts[:CHUNK] = arrays["begun_at"], arrays["counts"]
+    for i, leaf in enumerate(jax.tree.leaves(ledger.windows)):
         leaf[:CHUNK] = arrays[f"windows{i}"]
-    fresh = watch.accounts[0]
-
-    def like(tree, name: str):
-        leaves, form = jax.tree.flatten(tree)
-        return jax.tree.unflatten(form, [jnp.asarray(arrays[f"{name}_{j}"]) for j in range(len(leaves))])
-
-    watch.accounts = []
-    for i, (minus_twice, gates) in enumerate(meta["accounts"]):
-        said = tuple(np.zeros_like(one) for one in fresh.said)
-        for j, one in enumerate(said):
-            one[:CHUNK] = arrays[f"said{i}_{j}"]
-        sums = [
-            Sum(float(t), int(count), g, h)
-            for t, count, g, h in zip(*(arrays[f"sums{i}_{j}"] for j in range(4)), strict=True)
-        ]
-        acts = tuple((tuple(columns), since) for columns, since in gates)
-        watch.accounts.append(
-            Account(
-                like(fresh.force, f"force{i}"),
-                like(fresh.before, f"before{i}"),
-                like(fresh.message, f"message{i}"),
-                minus_twice,
-                sums,
-                (said[0], said[1], said[2]),
-                arrays[f"learned{i}"],
-                acts,
-            )
-        )
-    for name in _ARRAYS:
-        setattr(watch, name, arrays[name])
-    for name in _PLAIN:
-        setattr(watch, name, meta[name])
-    watch.rows = Rows(*(arrays[f"rows{j}"] for j in range(4))) if "rows0" in arrays else None
-    if "waiting0" in arrays:
-        watch.waiting = [Rows(*(arrays[f"waiting{j}"] for j in range(4)))]
-    watch.begun = Begun(*(arrays[f"begun{j}"] for j in range(4))) if "begun0" in arrays else None
-    watch.held, watch.committed = meta["held"], meta["committed"]
-    watch.members = tuple(Member(i, -np.inf if t is None else t) for i, t in meta["members"])
-    watch.named = tuple(_name(one) for one in meta["named"])
-    watch.undecided, watch.told = tuple(meta["undecided"]), meta["told"]
+    ledger.accounts = [
+        _account(ledger.accounts[0].branched(), arrays, i, *one) for i, one in enumerate(meta["accounts"])
+    ]
+    judge.nats = arrays.get("nats")
+    judge.members = tuple(Member(i, -np.inf if t is None else t) for i, t in meta["members"])
+    judge.named = tuple(_name(one) for one in meta["named"])
+    judge.undecided, watch.told = tuple(meta["undecided"]), meta["told"]
     intake = watch.intake
     intake.last, intake.offset, held, intake.driven, said = meta["intake"]
     intake.held, intake.said = np.array(held), set(said)
-    return meta["place"], meta["committed"]
+    return meta["place"], ledger.let_go
+
+
+def _account(blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates) -> Account:
+    """The account with the number i; `blank`: one of the same form, that is filled."""
+    for what in ("before", "message", "force"):
+        leaves, form = jax.tree.flatten(getattr(blank, what))
+        filled = [jnp.asarray(arrays[f"{what}{i}_{j}"]) for j in range(len(leaves))]
+        setattr(blank, what, jax.tree.unflatten(form, filled))
+    for j, one in enumerate(blank.said):
+        one[:CHUNK] = arrays[f"said{i}_{j}"]
+    sums = zip(*(arrays[f"sums{i}_{j}"] for j in range(4)), strict=True)
+    blank.sums = [Sum(float(t), int(seen), g, h) for t, seen, g, h in sums]
+    blank.minus_twice, blank.learned = minus_twice, arrays[f"learned{i}"]
+    blank.gates = tuple((tuple(columns), since) for columns, since in gates)
+    return blank
 
 
 def _name(one: dict[str, Any]) -> Name:
-    parameters = {name: tuple(value) for name, value in one["parameters"].items()}
-    return Name(**(one | {"parameters": parameters}))
+    parameters = {name: (value, std, unit) for name, (value, std, unit) in one["parameters"].items()}
+    return Name(one["label"], one["since"], one["at"], one["nats"], parameters)

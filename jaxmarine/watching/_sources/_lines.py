@@ -29,8 +29,8 @@ class Table:
     def __init__(self, name: str, columns: ColumnMap | None, commands: Sequence[str]):
         if columns is not None and not (columns.keeps_rows and columns.keeps_axes):
             raise InputError(
-                f"{name}: a table that is followed stays in its rows and axes; leave [frame], [time], groups, "
-                "quaternions and places out of the column map, or replay the whole recording."
+                f"{name}: a table that is followed stays in its rows and axes; leave [frame], [time], "
+                "groups, quaternions and places out of the column map, or replay the whole recording."
             )
         self.name = name
         self.sources = {} if columns is None else columns.sources(name, commands)

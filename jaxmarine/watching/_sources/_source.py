@@ -24,7 +24,7 @@ class Source(Protocol):
         ...
 
     def take(self, wait: float) -> list[Row] | None:
-        """Rows that have come, after at most `wait` [s]; an empty list: none yet, None: there will be none."""
+        """Rows that have come, after at most `wait` [s]; []: none yet, None: there will be none."""
         ...
 
     def close(self) -> None:

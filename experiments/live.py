@@ -1,0 +1,196 @@
+"""A craft that is watched: the same answer as afterwards, how soon, how often a false one, how fast.
+
+usage: python -m experiments.live --out DIR [--quick]
+
+Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by sticks and half under feedback:
+
+- *Same*: a thruster that is weak from the first sample on. Nats of the suspect that `diagnose` names first,
+  at the log's end, beside those of a watch that names nothing; and the names of one that does.
+- *Delay*: a thruster that grows weak under way, from hardly to badly.
+- *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
+- *Pace*: a log of six axes at 50 Hz, drawn by the package itself, with the whole catalogue. Seconds of the
+  processor per second of the log, after the programs are compiled.
+
+It goes on where it was cut. Writes results.json and results.md.
+"""
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import jaxmarine as jm
+from experiments.blind.cases import make_case
+from experiments.blind.plant import Effect
+from jaxmarine._types import CHANNELS
+from jaxmarine.disturbances import RandomWrench
+from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
+
+HERE = Path(__file__).parent / "live"
+CRAFT, THRUSTER = "cybership2", "port"
+STEERINGS = ("rich", "pilot")
+DISTURBANCES = ("none", "gusts", "slow", "current")
+# Factors of a weak thruster; one that grows weak does so at 150 s of a log of 300 s.
+FACTORS, SINCE, DURATION = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0
+# Logs with nothing hidden, of each steering and disturbance, and how long [s].
+NULLS, LONG = 1, 900.0
+# Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
+FAST, TIMED, WARM = 0.02, 240.0, 120.0
+Row = dict[str, Any]
+
+
+def rows_of(log: Log):
+    """What a link would send of a log, row by row."""
+    assert log.commands is not None
+    for t, channels, commands in zip(log.t, log.channels, log.commands, strict=True):
+        yield {
+            "t": float(t),
+            **dict(zip(CHANNELS, channels.tolist(), strict=True)),
+            **dict(zip(log.command_names, commands.tolist(), strict=True)),
+        }
+
+
+def watched(vehicle: jm.Vehicle, log: Log, **options: Any) -> jm.Watch:
+    """A watch that has seen a log."""
+    watch = jm.Watch(vehicle, **options)
+    for row in rows_of(log):
+        watch.update(row)
+    return watch
+
+
+def names_of(watch: jm.Watch) -> list[Row]:
+    return [{"label": n.label, "since": n.since, "at": n.at, "nats": n.nats} for n in watch.named]
+
+
+def opened(folder: Path, hidden: list[Effect], seed: int, duration: float, steering: str, disturbance: str):
+    """A case of the independent plant: its vehicle file and its two logs."""
+    make_case(
+        folder,
+        CRAFT,
+        hidden,
+        seed,
+        duration_train=duration,
+        duration_test=DURATION / 2,
+        disturbance=disturbance,
+        excitation=steering,
+    )
+    vehicle = jm.load_vehicle(folder / "vehicle.toml")
+    return vehicle, *(jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
+
+
+def same(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
+    """One log, watched and diagnosed."""
+    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor})]
+    vehicle, train, test = opened(folder, hidden, seed, DURATION, steering, disturbance)
+    watch, open_end = watched(vehicle, train), watched(vehicle, train, false_alarms=0.0).status.nats
+    found = jm.diagnose(vehicle, train, test).findings
+    first = found[0] if found else None
+    leading = max(open_end, key=lambda label: open_end[label])
+    return {
+        "factor": factor,
+        "named": names_of(watch),
+        "diagnosed": [[one.label, one.log_evidence] for one in found],
+        "leading": [leading, open_end[leading]],
+        "first": None if first is None else [first.label, first.log_evidence, open_end.get(first.label)],
+    }
+
+
+def delay(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
+    """How long after its beginning a weak thruster is named; None: not within the log."""
+    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor}, SINCE)]
+    vehicle, train, _ = opened(folder, hidden, seed, DURATION, steering, disturbance)
+    named = names_of(watched(vehicle, train))
+    right = [one for one in named if one["label"] == f"thruster_gain:{THRUSTER}"]
+    return {
+        "factor": factor,
+        "named": named,
+        "false": sum(one["at"] < SINCE for one in named),
+        "first_right": bool(named) and named[0] in right,
+        "delay": right[0]["at"] - SINCE if right and right[0]["at"] >= SINCE else None,
+        "off": right[0]["since"] - SINCE if right and right[0]["since"] is not None else None,
+    }
+
+
+def null(folder: Path, duration: float, seed: int, steering: str, disturbance: str) -> Row:
+    """What is named of a log that hides nothing."""
+    vehicle, train, _ = opened(folder, [], seed, duration, steering, disturbance)
+    watch = watched(vehicle, train)
+    return {"hours": duration / 3600.0, "named": names_of(watch), "most": max(watch.status.nats.values())}
+
+
+def pace(timed: float, warm: float) -> Row:
+    """Seconds of the processor per second of a log of six axes at 50 Hz."""
+    vehicle = jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy"))
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, timed, FAST)
+    names = vehicle.command_names
+    steps = rng.uniform(-0.4, 0.4, (round(timed / 4.0) + 1, len(names)))
+    commands = steps[(t / 4.0).astype(int)]
+    size = np.array([2.0, 2.0, 2.0, 0.2, 0.2, 0.5])
+    push = RandomWrench(size, np.full(6, 4.0)).draw(t, 2)
+    blank = Log(t, np.full((len(t), 18), np.nan), commands, None, names, "fast")
+    clean = np.asarray(simulate(vehicle, blank, initial_state(vehicle), push=push).channels)
+    std = np.repeat([0.02, 0.005, 0.01, 0.003, np.nan, np.nan], 3)
+    log = Log(t, clean + std * rng.normal(size=clean.shape), commands, None, names, "fast")
+    watch, calls, wall, spent = jm.Watch(vehicle), [], 0.0, 0.0
+    for row in rows_of(log):
+        wall, spent = time.perf_counter(), time.process_time()
+        watch.update(row)
+        if row["t"] >= warm:
+            calls.append((time.perf_counter() - wall, time.process_time() - spent))
+    walls, spents = np.array(calls).T
+    seconds = len(calls) * FAST
+    return {
+        "axes": int(vehicle.free.sum()),
+        "rate": 1.0 / FAST,
+        "suspects": len(watch.status.nats),
+        "seconds": seconds,
+        "wall_share": float(walls.sum() / seconds),
+        "processor_share": float(spents.sum() / seconds),
+        "longest": float(walls.max()),
+        "named": names_of(watch),
+    }
+
+
+def planned(quick: bool) -> dict[str, Any]:
+    """What is measured, by name: each one becomes a row."""
+    factors = (0.6,) if quick else FACTORS
+    steerings = STEERINGS[:1] if quick else STEERINGS
+    waters = DISTURBANCES[:1] if quick else DISTURBANCES
+    plan: dict[str, Any] = {"pace": lambda _: pace(*((24.0, 12.0) if quick else (TIMED, WARM)))}
+    for i, factor in enumerate(factors):
+        for j, steering in enumerate(steerings):
+            # Calm and disturbed in turn.
+            water = waters[(i + 2 * j) % len(waters)]
+            seed = 100 + 10 * i + j
+            plan[f"same_{i}{j}"] = lambda f, a=(factor, seed, steering, water): same(f, *a)
+            plan[f"delay_{i}{j}"] = lambda f, a=(factor, 100 + seed, steering, water): delay(f, *a)
+    for k, water in enumerate(waters):
+        for j, steering in enumerate(steerings):
+            a = (60.0 if quick else LONG, 300 + 10 * k + j, steering, water)
+            plan[f"null_{k}{j}"] = lambda f, a=a: null(f, *a)
+    return plan
+
+
+if __name__ == "__main__":
+    import sys
+
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    jm.keep_programs()
+    out = Path(sys.argv[1])
+    plan = planned(False)
+    for name in sys.argv[2:]:
+        for key in [k for k in plan if k.startswith(name)]:
+            path = out / f"{key}.json"
+            if path.exists():
+                continue
+            began = time.perf_counter()
+            row = plan[key](out / key)
+            row["wall"] = time.perf_counter() - began
+            path.write_text(json.dumps(row, indent=1) + "\n")
+            print(key, json.dumps(row), flush=True)
