@@ -33,10 +33,8 @@ HERE = Path(__file__).parent / "live"
 CRAFT, THRUSTER = "cybership2", "port"
 STEERINGS = ("rich", "pilot")
 DISTURBANCES = ("none", "gusts", "slow", "current")
-# Factors of a weak thruster; one that grows weak does so at 150 s of a log of 300 s.
-FACTORS, SINCE, DURATION = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0
-# Logs with nothing hidden, of each steering and disturbance, and how long [s].
-NULLS, LONG = 1, 900.0
+# Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
+FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
 # Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
 FAST, TIMED, WARM = 0.02, 240.0, 120.0
 Row = dict[str, Any]
@@ -155,42 +153,37 @@ def pace(timed: float, warm: float) -> Row:
     }
 
 
-def planned(quick: bool) -> dict[str, Any]:
-    """What is measured, by name: each one becomes a row."""
-    factors = (0.6,) if quick else FACTORS
+Job = tuple[str, tuple[Any, ...]]
+MEASURED = {"same": same, "delay": delay, "null": null}
+
+
+def planned(quick: bool) -> dict[str, Job]:
+    """What is measured: of each row its name, what kind of it, and by what."""
     steerings = STEERINGS[:1] if quick else STEERINGS
-    waters = DISTURBANCES[:1] if quick else DISTURBANCES
-    plan: dict[str, Any] = {"pace": lambda _: pace(*((24.0, 12.0) if quick else (TIMED, WARM)))}
-    for i, factor in enumerate(factors):
-        for j, steering in enumerate(steerings):
-            # Calm and disturbed in turn.
-            water = waters[(i + 2 * j) % len(waters)]
-            seed = 100 + 10 * i + j
-            plan[f"same_{i}{j}"] = lambda f, a=(factor, seed, steering, water): same(f, *a)
-            plan[f"delay_{i}{j}"] = lambda f, a=(factor, 100 + seed, steering, water): delay(f, *a)
-    for k, water in enumerate(waters):
-        for j, steering in enumerate(steerings):
-            a = (60.0 if quick else LONG, 300 + 10 * k + j, steering, water)
-            plan[f"null_{k}{j}"] = lambda f, a=a: null(f, *a)
+    calm = DISTURBANCES[:1] if quick else DISTURBANCES[:2]
+    plan: dict[str, Job] = {"pace": ("pace", (24.0, 12.0) if quick else (TIMED, WARM))}
+    for j, steering in enumerate(steerings):
+        for k, water in enumerate(calm):
+            plan[f"same_{j}{k}"] = "same", (SEEN, 100 + 10 * k + j, steering, water)
+        for i, factor in enumerate((SEEN,) if quick else FACTORS):
+            # Calm and gusts in turn.
+            water = calm[(i + j) % len(calm)]
+            plan[f"delay_{j}{i}"] = "delay", (factor, 200 + 10 * i + j, steering, water)
+        for k, water in enumerate(DISTURBANCES[:1] if quick else DISTURBANCES):
+            plan[f"null_{j}{k}"] = "null", (60.0 if quick else DURATION, 300 + 10 * k + j, steering, water)
     return plan
 
 
-if __name__ == "__main__":
-    import sys
-
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    jm.keep_programs()
-    out = Path(sys.argv[1])
-    plan = planned(False)
-    for name in sys.argv[2:]:
-        for key in [k for k in plan if k.startswith(name)]:
-            path = out / f"{key}.json"
-            if path.exists():
-                continue
-            began = time.perf_counter()
-            row = plan[key](out / key)
-            row["wall"] = time.perf_counter() - began
-            path.write_text(json.dumps(row, indent=1) + "\n")
-            print(key, json.dumps(row), flush=True)
+def row(name: str, job: Job, out: Path) -> Row:
+    """One of them, kept beside its log."""
+    kept = out / f"{name}.json"
+    if kept.exists():
+        return json.loads(kept.read_text())
+    kind, by = job
+    if kind == "pace":
+        found = pace(*by)
+    else:
+        found = {"steering": by[-2], "disturbance": by[-1]} | MEASURED[kind](out / name, *by)
+    found = {"name": name, "kind": kind, **found, "program": program()}
+    kept.write_text(json.dumps(found, indent=1) + "\n")
+    return found

@@ -1,11 +1,6 @@
 """A craft that is watched: evidence against least squares, names, interruptions, and a kill."""
 
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -14,10 +9,10 @@ from jaxmarine import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import ConstantWrench, LinearDamping, QuadraticDamping, ThrusterGain, place
-from jaxmarine.logs import Log, write_log
+from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
-from jaxmarine.vehicle_io import save_vehicle, suspect_named
+from jaxmarine.vehicle_io import suspect_named
 from jaxmarine.watching import Kept, Watch, _judge, _ledger, _saved
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
@@ -232,26 +227,3 @@ def test_memory_stays_the_same(watched):
     bench, course, ledger, _ = watch.parts
     assert ledger.let_go >= 1 and len(course.rows) < bench.past + 3 * bench.steps
     assert ledger.held <= 2 * _ledger.CHUNK and len(ledger.accounts) <= 2
-
-
-@pytest.mark.slow
-def test_the_command_line_goes_on_after_sigkill(broken, tmp_path):
-    save_vehicle(boat(), tmp_path / "boat.toml")
-    write_log(broken, tmp_path / "whole.csv")
-    lines = (tmp_path / "whole.csv").read_text().splitlines(keepends=True)
-    grown = tmp_path / "grown.csv"
-    grown.write_text("".join(lines[:700]))
-    command = [sys.executable, "-m", "jaxmarine", "watch", "--vehicle", str(tmp_path / "boat.toml")]
-    command += ["--out", str(tmp_path / "extended.toml"), "--state", str(tmp_path / "state"), str(grown)]
-    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    journal = tmp_path / "state.rows"
-    until = time.monotonic() + 900
-    while time.monotonic() < until and not (journal.exists() and b'"t": 60.0' in journal.read_bytes()):
-        time.sleep(0.2)
-    os.kill(first.pid, signal.SIGKILL)
-    first.wait()
-    grown.write_text("".join(lines))
-    second = subprocess.run([*command, "--stop-after", "2"], capture_output=True, text=True, timeout=900)
-    assert second.returncode == 0, second.stderr
-    assert "Goes on from t =" in second.stdout and "thruster_gain:starboard" in second.stdout
-    assert (tmp_path / "extended.toml").exists()
