@@ -17,11 +17,13 @@ It goes on where it was cut. Writes results.json and results.md.
 import json
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 import jaxmarine as jm
+from experiments._study import program, study, write_results
 from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
 from jaxmarine._types import CHANNELS
@@ -33,6 +35,8 @@ HERE = Path(__file__).parent / "live"
 CRAFT, THRUSTER = "cybership2", "port"
 STEERINGS = ("rich", "pilot")
 DISTURBANCES = ("none", "gusts", "slow", "current")
+WORDS = {"rich": "sticks", "pilot": "a pilot"}
+WATERS = {"none": "calm", "gusts": "gusts", "slow": "slow forces", "current": "a current that wanders"}
 # Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
 FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
 # Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
@@ -187,3 +191,83 @@ def row(name: str, job: Job, out: Path) -> Row:
     found = {"name": name, "kind": kind, **found, "program": program()}
     kept.write_text(json.dumps(found, indent=1) + "\n")
     return found
+
+
+# --- summary -------------------------------------------------------------------------------------
+
+
+def summary(rows: list[Row]) -> Row:
+    """What all rows say together."""
+
+    def of(kind: str) -> list[Row]:
+        return [one for one in rows if one["kind"] == kind]
+
+    sizes = []
+    for factor in sorted({one["factor"] for one in of("delay")}, reverse=True):
+        some = [one for one in of("delay") if one["factor"] == factor]
+        delays = [one["delay"] for one in some if one["delay"] is not None]
+        sizes.append(
+            {
+                "factor": factor,
+                "logs": len(some),
+                "named": len(delays),
+                "first": sum(one["first_right"] for one in some),
+                "delays": sorted(delays),
+            }
+        )
+    quiet = []
+    for water in DISTURBANCES:
+        # What is named before the fault of a log with one is as false.
+        nulls = [one for one in of("null") if one["disturbance"] == water]
+        before = [one for one in of("delay") if one["disturbance"] == water]
+        labels = [name["label"] for one in nulls for name in one["named"]]
+        labels += [name["label"] for one in before for name in one["named"] if name["at"] < SINCE]
+        if nulls or before:
+            hours = sum(one["hours"] for one in nulls) + len(before) * SINCE / 3600.0
+            quiet.append({"disturbance": water, "hours": hours, "names": sorted(labels)})
+    return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace")}
+
+
+def table(found: Row) -> str:
+    """What stands in `docs/live.md`, as Markdown."""
+    out = ["| log | watch named | `diagnose` named | nats of the latter's first: `diagnose`, watch |"]
+    out.append("| --- | --- | --- | --- |")
+    for one in found["same"]:
+        watched = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
+        diagnosed = ", ".join(f"`{label}`" for label, _ in one["diagnosed"]) or "nothing"
+        both = "" if one["first"] is None else ", ".join(f"{nats:.0f}" for nats in one["first"][1:])
+        steering = WORDS.get(one["steering"], one["steering"])
+        out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {both} |")
+    out += ["", "| factor of the thrust | named, of logs | as the first name | seconds until then |"]
+    out.append("| --- | --- | --- | --- |")
+    for one in found["sizes"]:
+        delays = ", ".join(f"{delay:.0f}" for delay in one["delays"])
+        out.append(f"| {one['factor']:g} | {one['named']} of {one['logs']} | {one['first']} | {delays} |")
+    out += ["", "| water | hours watched | false names | which |", "| --- | --- | --- | --- |"]
+    for one in found["quiet"]:
+        names = ", ".join(f"`{label}`" for label in one["names"])
+        out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
+    for one in found["pace"]:
+        out += [
+            "",
+            f"{one['axes']} axes at {one['rate']:.0f} Hz, {one['suspects']} suspects: "
+            f"{one['processor_share']:.2f} s of the processor and {one['wall_share']:.2f} s by the clock per "
+            f"second of the log; the longest call of `update` took {one['longest']:.1f} s.",
+        ]
+    return "\n".join(out) + "\n"
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Where logs, rows and results are written.")],
+    quick: Annotated[bool, typer.Option("--quick", help="One log of each kind.")] = False,
+) -> None:
+    """Watches logs with a known answer."""
+    with study(out, quick):
+        rows = [row(name, job, out) for name, job in planned(quick).items()]
+        found = summary(rows)
+        write_results(out, {"program": program(), **found, "rows": rows}, table(found))
+    print((out / "results.md").read_text())
+
+
+if __name__ == "__main__":
+    typer.run(main)
