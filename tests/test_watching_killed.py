@@ -12,7 +12,7 @@ import pytest
 from jaxmarine.effects import place
 from jaxmarine.logs import write_log
 from jaxmarine.vehicle import Placed
-from jaxmarine.vehicle_io import save_vehicle, suspect_named
+from jaxmarine.vehicle_io import load_vehicle, save_vehicle, suspect_named
 from jaxmarine.watching import Kept, Status, Watch
 from tests.boats import boat, record, steps
 
@@ -21,8 +21,8 @@ SINCE, SAMPLES, KILLED = 48.0, 1000, b'"t": 90.0'
 
 
 def kept_at(state: Path) -> Status:
-    """Where the watch stands that is kept in a file."""
-    watch, kept = Watch(boat()), Kept(state)
+    """Where the watch stands that is kept in a file beside its vehicle's."""
+    watch, kept = Watch(load_vehicle(state.parent / "boat.toml")), Kept(state)
     kept.opened(watch)
     kept.close()
     return watch.status
