@@ -41,6 +41,7 @@ WATERS = {"none": "calm", "gusts": "gusts", "slow": "slow forces", "current": "a
 FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
 # Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
 FAST, TIMED, WARM = 0.02, 240.0, 120.0
+KINDS = ("position", "attitude", "velocity", "rate")
 Row = dict[str, Any]
 
 
@@ -135,7 +136,8 @@ def pace(timed: float, warm: float) -> Row:
     push = RandomWrench(size, np.full(6, 4.0)).draw(t, 2)
     blank = Log(t, np.full((len(t), 18), np.nan), commands, None, names, "fast")
     clean = np.asarray(simulate(vehicle, blank, initial_state(vehicle), push=push).channels)
-    std = np.repeat([0.02, 0.005, 0.01, 0.003, np.nan, np.nan], 3)
+    # Accelerations are not measured, all else as the file states it.
+    std = np.repeat([*(dict(vehicle.sensors)[kind] for kind in KINDS), np.nan, np.nan], 3)
     log = Log(t, clean + std * rng.normal(size=clean.shape), commands, None, names, "fast")
     watch, calls, wall, spent = jm.Watch(vehicle), [], 0.0, 0.0
     for row in rows_of(log):
@@ -173,8 +175,11 @@ def planned(quick: bool) -> dict[str, Job]:
             # Calm and gusts in turn.
             water = calm[(i + j) % len(calm)]
             plan[f"delay_{j}{i}"] = "delay", (factor, 200 + 10 * i + j, steering, water)
-        for k, water in enumerate(DISTURBANCES[:1] if quick else DISTURBANCES):
-            plan[f"null_{j}{k}"] = "null", (60.0 if quick else DURATION, 300 + 10 * k + j, steering, water)
+        for k, water in enumerate(calm if quick else DISTURBANCES):
+            # Logs of calm water and gusts are watched before a fault as well.
+            for n in range(1 if water in calm else 3):
+                seed = 300 + 100 * n + 10 * k + j
+                plan[f"null_{j}{k}{n}"] = "null", (60.0 if quick else DURATION, seed, steering, water)
     return plan
 
 
@@ -228,16 +233,21 @@ def summary(rows: list[Row]) -> Row:
     return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace")}
 
 
+def compared(diagnosed: float, watched: float) -> str:
+    """Nats by a diagnosis and by a watch."""
+    return f"{diagnosed:.0f} | {watched:.0f} | {watched / diagnosed:.2f}"
+
+
 def table(found: Row) -> str:
     """What stands in `docs/live.md`, as Markdown."""
-    out = ["| log | watch named | `diagnose` named | nats of the latter's first: `diagnose`, watch |"]
-    out.append("| --- | --- | --- | --- |")
+    out = ["| log | watch named | `diagnose` named | nats of its first | nats by the watch | ratio |"]
+    out.append("| --- | --- | --- | --- | --- | --- |")
     for one in found["same"]:
         watched = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
         diagnosed = ", ".join(f"`{label}`" for label, _ in one["diagnosed"]) or "nothing"
-        both = "" if one["first"] is None else ", ".join(f"{nats:.0f}" for nats in one["first"][1:])
+        nats = " | | " if one["first"] is None else compared(*one["first"][1:])
         steering = WORDS.get(one["steering"], one["steering"])
-        out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {both} |")
+        out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
     out += ["", "| factor of the thrust | named, of logs | as the first name | seconds until then |"]
     out.append("| --- | --- | --- | --- |")
     for one in found["sizes"]:
