@@ -16,6 +16,7 @@ It goes on where it was cut. Writes results.json and results.md.
 
 import json
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -248,14 +249,18 @@ def table(found: Row) -> str:
         nats = " | | " if one["first"] is None else compared(*one["first"][1:])
         steering = WORDS.get(one["steering"], one["steering"])
         out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
-    out += ["", "| factor of the thrust | named, of logs | as the first name | seconds until then |"]
+    out += [
+        "",
+        "| factor of the thrust | named, of logs | as the first name | seconds from the fault to its name |",
+    ]
     out.append("| --- | --- | --- | --- |")
     for one in found["sizes"]:
         delays = ", ".join(f"{delay:.0f}" for delay in one["delays"])
         out.append(f"| {one['factor']:g} | {one['named']} of {one['logs']} | {one['first']} | {delays} |")
     out += ["", "| water | hours watched | false names | which |", "| --- | --- | --- | --- |"]
     for one in found["quiet"]:
-        names = ", ".join(f"`{label}`" for label in one["names"])
+        counts = sorted(Counter(one["names"]).items(), key=lambda item: (-item[1], item[0]))
+        names = ", ".join(f"{count} `{label}`" for label, count in counts)
         out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
     for one in found["pace"]:
         out += [
