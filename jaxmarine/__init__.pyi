@@ -11,6 +11,7 @@ from . import networks as networks
 from . import physics as physics
 from . import reports as reports
 from . import simulation as simulation
+from . import watching as watching
 from ._errors import InputError as InputError
 from ._start import keep_programs as keep_programs
 from ._version import __version__ as __version__
@@ -84,3 +85,4 @@ from .vehicle_io import (
 from .vehicle_io import (
     save_vehicle as save_vehicle,
 )
+from .watching import Watch as Watch

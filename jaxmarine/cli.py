@@ -763,6 +763,85 @@ def _say_pool(address: str, flown, commands: dict[str, str]) -> None:
     _say(f"Watch it, in another terminal:\n  {commands['watch']}")
 
 
+@app.command(
+    epilog="Examples: `jaxmarine watch --vehicle rov.toml --page growing.csv`, "
+    "`jaxmarine watch --vehicle rov.toml --columns link.toml udp://127.0.0.1:14550`"
+)
+def watch(
+    vehicle: VehicleOption,
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="A CSV that grows, `-` (a CSV on standard input), `udp://HOST:PORT` (MAVLink), or a "
+            "recording that is replayed (.tlog, ROS 2 bag, ...).",
+            metavar="SOURCE",
+            show_default=False,
+        ),
+    ],
+    columns: ColumnsOption = None,
+    out: Annotated[
+        Path, typer.Option("--out", help="Where the extended vehicle is written once a cause is named.")
+    ] = Path("extended.toml"),
+    false_alarms: Annotated[
+        float, typer.Option("--false-alarms", min=1e-6, max=100.0, help="False names per day to allow for.")
+    ] = 0.01,
+    page: Annotated[
+        bool, typer.Option("--page", help="Serves a page on 127.0.0.1, to this machine alone.")
+    ] = False,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Of the page; 0: any.")] = 8642,
+    state: Annotated[
+        Path | None,
+        typer.Option("--state", help="File in which the watch is kept; if it is there, the watch goes on."),
+    ] = None,
+    stop_after: Annotated[
+        float | None,
+        typer.Option("--stop-after", min=0.0, help="Ends where nothing has come for so long [s]."),
+    ] = None,
+) -> None:
+    """Watches a craft under way: names a cause when it is sure, and says since when."""
+    prepare()
+    from .vehicle_io import load_vehicle, save_vehicle
+    from .watching import Kept, Page, Watch, follow, open_source, sentence_of
+
+    _file(out)
+    if state is not None:
+        _file(state)
+    craft = load_vehicle(vehicle)
+    watched = Watch(craft, false_alarms)
+    opened = open_source(source, craft, _columns(columns))
+    shown = Page(craft.name, opened.name, port) if page else None
+    kept = None if state is None else Kept(state)
+    if shown is not None:
+        _say(f"Page: {shown.address}")
+    _say(f"Watching {craft.name} from {opened.name}; {_FIRST_TIME}.")
+    named = 0
+
+    def each(watched: Watch) -> None:
+        nonlocal named
+        if len(watched.named) > named:
+            named = len(watched.named)
+            save_vehicle(watched.extended, out)
+            say(f"The vehicle with what is named in it: {out}")
+        if shown is not None:
+            shown.shown(watched)
+
+    def say(sentence: str) -> None:
+        _say(sentence)
+        sys.stdout.flush()
+
+    try:
+        follow(watched, opened, say, each, kept, stop_after)
+    except KeyboardInterrupt:
+        say("Stopped.")
+    finally:
+        opened.close()
+        if kept is not None:
+            kept.close()
+        if shown is not None:
+            shown.close()
+    say(sentence_of(watched.status))
+
+
 def main() -> None:
     """Entry point of the console script."""
     try:

@@ -59,7 +59,7 @@ def windows_of(joined: list[bool], gap: list[float], swells: bool = False) -> tu
 def joined_up(every: Windowed, force: Disturbance):
     """Information by the columns and the determinants' logarithm of all windows, by the filter."""
     passed = jax.vmap(lambda line: _filter.filtered(line, force))(every.line)
-    message = _filter._nothing_known(force, COLUMNS)
+    message = _filter.nothing_known(force, COLUMNS)
     information, log_det = 0.0, 0.0
     for w in range(len(every.start)):
         window, here = jax.tree.map(lambda a, w=w: a[w], (every, passed))

@@ -2,6 +2,10 @@
 
 from .._progress import Estimate as Estimate
 from ._diagnose import diagnose as diagnose
+from ._filed import Coefficient as Coefficient
+from ._filed import base_coefficients as base_coefficients
+from ._fine import parts_of as parts_of
+from ._fine import strength as strength
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan
@@ -50,4 +54,8 @@ from ._result import (
 from ._result import (
     Weighed as Weighed,
 )
+from ._saturated import Layout as Layout
+from ._saturated import SaturatedPlant as SaturatedPlant
+from ._saturated import saturate as saturate
+from ._search import CLOSE as CLOSE
 from ._worth import gain_of as gain_of

@@ -49,6 +49,7 @@ from ..fitting import (
     screening,
     segments,
     start_precision,
+    start_spread,
     whitened,
     with_swell,
     wrapped,
@@ -470,7 +471,8 @@ class Workbench:
                 break
             beside = model.beside
             problem, every = self._path(model, beside)
-            force, learned, _ = estimated(problem, every, beside.force, self.fine.unit, beside.covariance)
+            spread = start_spread(problem.start_precision)
+            force, learned, _ = estimated(spread, every, beside.force, self.fine.unit, beside.covariance)
             now = Beside(force, beside.path, learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > LIKELIER:

@@ -289,7 +289,8 @@ def _passed_on(
     return information, passed.log_det + jnp.linalg.slogdet(whole)[1], after
 
 
-def _nothing_known(force: Disturbance, columns: int) -> Message:
+def nothing_known(force: Disturbance, columns: int) -> Message:
+    """Before the first window."""
     state = 13 + force.states
     return Message(jnp.zeros((state, columns)), jnp.zeros((state, state)), jnp.zeros((13, columns)))
 
@@ -313,9 +314,13 @@ def pushed(problem: Problem, force: Disturbance, path: Path) -> Problem:
     return eqx.tree_at(lambda p: p.windows.wrench, problem, wrench, is_leaf=lambda x: x is None)
 
 
+def start_spread(precision: Float[Array, "12"]) -> Float[Array, "12"]:
+    """Standard deviation of a window's first state; `precision`: `_rollout.start_precision`."""
+    return jnp.where(precision > LOOSE**-2.0, TIGHT, ANY)
+
+
 def _spread(problem: Problem) -> Float[Array, "12"]:
-    """Standard deviation of a window's first state."""
-    return jnp.where(problem.start_precision > LOOSE**-2.0, TIGHT, ANY)
+    return start_spread(problem.start_precision)
 
 
 class Free(eqx.Module):
@@ -478,7 +483,7 @@ def innovations(
     - `group`: of each window; windows of the group with the number `groups` are left out.
     """
     given, count, spread = affine.acts.shape[-1], len(path.delta), _spread(problem)
-    carry = jnp.zeros((groups + 1, given, given)), _nothing_known(force, given + 1)
+    carry = jnp.zeros((groups + 1, given, given)), nothing_known(force, given + 1)
     found = []
     for every, _, index in _in_turn(problem, affine, force, path):
         carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
@@ -502,7 +507,7 @@ def _whitened(every: Windowed, force: Disturbance, spread) -> Float[Array, "wind
         (mean, covariance, _), white = _through(window.line, window.line.residual, force, begin)
         return Message(mean, covariance, window.end), white[..., 0]
 
-    return jax.lax.scan(each, _nothing_known(force, 1), every)[1]
+    return jax.lax.scan(each, nothing_known(force, 1), every)[1]
 
 
 def whitened(
@@ -566,14 +571,14 @@ def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: 
             return message, information[-1, -1] + log_det
 
         passed = _filtered(every.line, now)
-        _, minus_twice = jax.lax.scan(each, _nothing_known(now, 1), (every, passed))
+        _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), (every, passed))
         return minus_twice.sum() + meaning.unusual(now, unit)
 
     return jax.value_and_grad(of)(logarithms)
 
 
 def estimated(
-    problem: Problem,
+    spread: Float[Array, "12"],
     every: Windowed,
     force: Disturbance,
     unit: Float[np.ndarray, " axes"],
@@ -583,11 +588,12 @@ def estimated(
 
     And minus twice the logarithm of that likelihood, but for a constant.
 
-    - `force`: where the search begins; `unit`: the full thrust [N, N m] of each axis, or what stands for it.
+    - `spread`: `start_spread`; `force`: where the search begins; `unit`: the full thrust [N, N m] of each
+      axis, or what stands for it.
     - `covariance`: of the `Logarithms` by the curvature, as far as it is known, and returned as the search
       has learned it. One that begins with that of a similar model takes few steps.
     """
-    spread, meaning = _spread(problem), Logarithms(len(force.axes))
+    meaning = Logarithms(len(force.axes))
     begin = meaning.of(force, unit)
     # In these coordinates the likelihood curves alike in all directions.
     root = np.linalg.cholesky(covariance)
@@ -753,7 +759,7 @@ def free_wrench(
       knots stand side by side, and are forgotten afterwards but for the disturbance.
     """
     columns, spread = affine.acts.shape[-1] + 6 * knots * parts + 1, _spread(problem)
-    carry = jnp.zeros((groups + 1, columns, columns)), _nothing_known(force, columns)
+    carry = jnp.zeros((groups + 1, columns, columns)), nothing_known(force, columns)
     for every, free, index in _in_turn(problem, affine, force, path, knots):
         of = of_filled(group, groups, index)
         carry = _joined_beside(carry, every, free, force, jnp.asarray(index), of, spread, parts)

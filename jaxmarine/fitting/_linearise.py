@@ -337,7 +337,8 @@ def swept(
     """
     roll, rows_of, begun = _each(problem, affine, knots)
     count = len(delta)
-    chunk = part_of(count, CHUNK, BATCH)
+    batch = min(BATCH, count)
+    chunk = part_of(count, CHUNK, batch)
 
     def of_batch(carry, now):
         windows, index = now
@@ -347,7 +348,7 @@ def swept(
     def of_chunk(carry, index):
         here = jnp.minimum(index, count - 1)
         rolled = roll(*jax.tree.map(lambda a: a[here], (problem.windows, delta, begun)))
-        return jax.lax.scan(of_batch, carry, jax.tree.map(lambda a: in_parts(a, BATCH), (rolled, index)))
+        return jax.lax.scan(of_batch, carry, jax.tree.map(lambda a: in_parts(a, batch), (rolled, index)))
 
     chunks = jnp.arange(-(-count // chunk) * chunk).reshape(-1, chunk)
     carried, kept = jax.lax.scan(of_chunk, begin, chunks)

@@ -1,0 +1,288 @@
+"""A craft that is watched: the same answer as afterwards, how soon, how often a false one, how fast.
+
+usage: python -m experiments.live --out DIR [--quick]
+
+Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by sticks and half under feedback:
+
+- *Same*: a thruster that is weak from the first sample on. Nats of the suspect that `diagnose` names first,
+  at the log's end, beside those of a watch that names nothing; and the names of one that does.
+- *Delay*: a thruster that grows weak under way, from hardly to badly.
+- *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
+- *Pace*: a log of six axes at 50 Hz, drawn by the package itself, with the whole catalogue. Seconds of the
+  processor per second of the log, after the programs are compiled.
+
+It goes on where it was cut. Writes results.json and results.md.
+"""
+
+import json
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+import jaxmarine as jm
+from experiments._study import program, study, write_results
+from experiments.blind.cases import make_case
+from experiments.blind.plant import Effect
+from jaxmarine._types import CHANNELS
+from jaxmarine.disturbances import RandomWrench
+from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
+
+HERE = Path(__file__).parent / "live"
+CRAFT, THRUSTER = "cybership2", "port"
+STEERINGS = ("rich", "pilot")
+DISTURBANCES = ("none", "gusts", "slow", "current")
+WORDS = {"rich": "sticks", "pilot": "a pilot"}
+WATERS = {"none": "calm", "gusts": "gusts", "slow": "slow forces", "current": "a current that wanders"}
+# Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
+FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
+# Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
+FAST, TIMED, WARM = 0.02, 240.0, 120.0
+KINDS = ("position", "attitude", "velocity", "rate")
+Row = dict[str, Any]
+
+
+def rows_of(log: Log):
+    """What a link would send of a log, row by row."""
+    assert log.commands is not None
+    for t, channels, commands in zip(log.t, log.channels, log.commands, strict=True):
+        yield {
+            "t": float(t),
+            **dict(zip(CHANNELS, channels.tolist(), strict=True)),
+            **dict(zip(log.command_names, commands.tolist(), strict=True)),
+        }
+
+
+def watched(vehicle: jm.Vehicle, log: Log, **options: Any) -> jm.Watch:
+    """A watch that has seen a log."""
+    watch = jm.Watch(vehicle, **options)
+    for row in rows_of(log):
+        watch.update(row)
+    return watch
+
+
+def names_of(watch: jm.Watch) -> list[Row]:
+    return [{"label": n.label, "since": n.since, "at": n.at, "nats": n.nats} for n in watch.named]
+
+
+def opened(folder: Path, hidden: list[Effect], seed: int, duration: float, steering: str, disturbance: str):
+    """A case of the independent plant: its vehicle file and its two logs."""
+    make_case(
+        folder,
+        CRAFT,
+        hidden,
+        seed,
+        duration_train=duration,
+        duration_test=DURATION / 2,
+        disturbance=disturbance,
+        excitation=steering,
+    )
+    vehicle = jm.load_vehicle(folder / "vehicle.toml")
+    return vehicle, *(jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
+
+
+def same(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
+    """One log, watched and diagnosed."""
+    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor})]
+    vehicle, train, test = opened(folder, hidden, seed, DURATION, steering, disturbance)
+    watch, open_end = watched(vehicle, train), watched(vehicle, train, false_alarms=0.0).status.nats
+    found = jm.diagnose(vehicle, train, test).findings
+    first = found[0] if found else None
+    leading = max(open_end, key=lambda label: open_end[label])
+    return {
+        "factor": factor,
+        "named": names_of(watch),
+        "diagnosed": [[one.label, one.log_evidence] for one in found],
+        "leading": [leading, open_end[leading]],
+        "first": None if first is None else [first.label, first.log_evidence, open_end.get(first.label)],
+    }
+
+
+def delay(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
+    """How long after its beginning a weak thruster is named; None: not within the log."""
+    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor}, SINCE)]
+    vehicle, train, _ = opened(folder, hidden, seed, DURATION, steering, disturbance)
+    named = names_of(watched(vehicle, train))
+    right = [one for one in named if one["label"] == f"thruster_gain:{THRUSTER}"]
+    return {
+        "factor": factor,
+        "named": named,
+        "false": sum(one["at"] < SINCE for one in named),
+        "first_right": bool(named) and named[0] in right,
+        "delay": right[0]["at"] - SINCE if right and right[0]["at"] >= SINCE else None,
+        "off": right[0]["since"] - SINCE if right and right[0]["since"] is not None else None,
+    }
+
+
+def null(folder: Path, duration: float, seed: int, steering: str, disturbance: str) -> Row:
+    """What is named of a log that hides nothing."""
+    vehicle, train, _ = opened(folder, [], seed, duration, steering, disturbance)
+    watch = watched(vehicle, train)
+    return {"hours": duration / 3600.0, "named": names_of(watch), "most": max(watch.status.nats.values())}
+
+
+def pace(timed: float, warm: float) -> Row:
+    """Seconds of the processor per second of a log of six axes at 50 Hz."""
+    vehicle = jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy"))
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, timed, FAST)
+    names = vehicle.command_names
+    steps = rng.uniform(-0.4, 0.4, (round(timed / 4.0) + 1, len(names)))
+    commands = steps[(t / 4.0).astype(int)]
+    size = np.array([2.0, 2.0, 2.0, 0.2, 0.2, 0.5])
+    push = RandomWrench(size, np.full(6, 4.0)).draw(t, 2)
+    blank = Log(t, np.full((len(t), 18), np.nan), commands, None, names, "fast")
+    clean = np.asarray(simulate(vehicle, blank, initial_state(vehicle), push=push).channels)
+    # Accelerations are not measured, all else as the file states it.
+    std = np.repeat([*(dict(vehicle.sensors)[kind] for kind in KINDS), np.nan, np.nan], 3)
+    log = Log(t, clean + std * rng.normal(size=clean.shape), commands, None, names, "fast")
+    watch, calls, wall, spent = jm.Watch(vehicle), [], 0.0, 0.0
+    for row in rows_of(log):
+        wall, spent = time.perf_counter(), time.process_time()
+        watch.update(row)
+        if row["t"] >= warm:
+            calls.append((time.perf_counter() - wall, time.process_time() - spent))
+    walls, spents = np.array(calls).T
+    seconds = len(calls) * FAST
+    return {
+        "axes": int(vehicle.free.sum()),
+        "rate": 1.0 / FAST,
+        "suspects": len(watch.status.nats),
+        "seconds": seconds,
+        "wall_share": float(walls.sum() / seconds),
+        "processor_share": float(spents.sum() / seconds),
+        "longest": float(walls.max()),
+        "named": names_of(watch),
+    }
+
+
+Job = tuple[str, tuple[Any, ...]]
+MEASURED = {"same": same, "delay": delay, "null": null}
+
+
+def planned(quick: bool) -> dict[str, Job]:
+    """What is measured: of each row its name, what kind of it, and by what."""
+    steerings = STEERINGS[:1] if quick else STEERINGS
+    calm = DISTURBANCES[:1] if quick else DISTURBANCES[:2]
+    plan: dict[str, Job] = {"pace": ("pace", (24.0, 12.0) if quick else (TIMED, WARM))}
+    for j, steering in enumerate(steerings):
+        for k, water in enumerate(calm):
+            plan[f"same_{j}{k}"] = "same", (SEEN, 100 + 10 * k + j, steering, water)
+        for i, factor in enumerate((SEEN,) if quick else FACTORS):
+            # Calm and gusts in turn.
+            water = calm[(i + j) % len(calm)]
+            plan[f"delay_{j}{i}"] = "delay", (factor, 200 + 10 * i + j, steering, water)
+        for k, water in enumerate(calm if quick else DISTURBANCES):
+            # Logs of calm water and gusts are watched before a fault as well.
+            for n in range(1 if water in calm else 3):
+                seed = 300 + 100 * n + 10 * k + j
+                plan[f"null_{j}{k}{n}"] = "null", (60.0 if quick else DURATION, seed, steering, water)
+    return plan
+
+
+def row(name: str, job: Job, out: Path) -> Row:
+    """One of them, kept beside its log."""
+    kept = out / f"{name}.json"
+    if kept.exists():
+        return json.loads(kept.read_text())
+    kind, by = job
+    if kind == "pace":
+        found = pace(*by)
+    else:
+        found = {"steering": by[-2], "disturbance": by[-1]} | MEASURED[kind](out / name, *by)
+    found = {"name": name, "kind": kind, **found, "program": program()}
+    kept.write_text(json.dumps(found, indent=1) + "\n")
+    return found
+
+
+# --- summary -------------------------------------------------------------------------------------
+
+
+def summary(rows: list[Row]) -> Row:
+    """What all rows say together."""
+
+    def of(kind: str) -> list[Row]:
+        return [one for one in rows if one["kind"] == kind]
+
+    sizes = []
+    for factor in sorted({one["factor"] for one in of("delay")}, reverse=True):
+        some = [one for one in of("delay") if one["factor"] == factor]
+        delays = [one["delay"] for one in some if one["delay"] is not None]
+        sizes.append(
+            {
+                "factor": factor,
+                "logs": len(some),
+                "named": len(delays),
+                "first": sum(one["first_right"] for one in some),
+                "delays": sorted(delays),
+            }
+        )
+    quiet = []
+    for water in DISTURBANCES:
+        # What is named before the fault of a log with one is as false.
+        nulls = [one for one in of("null") if one["disturbance"] == water]
+        before = [one for one in of("delay") if one["disturbance"] == water]
+        labels = [name["label"] for one in nulls for name in one["named"]]
+        labels += [name["label"] for one in before for name in one["named"] if name["at"] < SINCE]
+        if nulls or before:
+            hours = sum(one["hours"] for one in nulls) + len(before) * SINCE / 3600.0
+            quiet.append({"disturbance": water, "hours": hours, "names": sorted(labels)})
+    return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace")}
+
+
+def compared(diagnosed: float, watched: float) -> str:
+    """Nats by a diagnosis and by a watch."""
+    return f"{diagnosed:.0f} | {watched:.0f} | {watched / diagnosed:.2f}"
+
+
+def table(found: Row) -> str:
+    """What stands in `docs/live.md`, as Markdown."""
+    out = ["| log | watch named | `diagnose` named | nats of its first | nats by the watch | ratio |"]
+    out.append("| --- | --- | --- | --- | --- | --- |")
+    for one in found["same"]:
+        watched = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
+        diagnosed = ", ".join(f"`{label}`" for label, _ in one["diagnosed"]) or "nothing"
+        nats = " | | " if one["first"] is None else compared(*one["first"][1:])
+        steering = WORDS.get(one["steering"], one["steering"])
+        out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
+    out += [
+        "",
+        "| factor of the thrust | named, of logs | as the first name | seconds from the fault to its name |",
+    ]
+    out.append("| --- | --- | --- | --- |")
+    for one in found["sizes"]:
+        delays = ", ".join(f"{delay:.0f}" for delay in one["delays"])
+        out.append(f"| {one['factor']:g} | {one['named']} of {one['logs']} | {one['first']} | {delays} |")
+    out += ["", "| water | hours watched | false names | which |", "| --- | --- | --- | --- |"]
+    for one in found["quiet"]:
+        counts = sorted(Counter(one["names"]).items(), key=lambda item: (-item[1], item[0]))
+        names = ", ".join(f"{count} `{label}`" for label, count in counts)
+        out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
+    for one in found["pace"]:
+        out += [
+            "",
+            f"{one['axes']} axes at {one['rate']:.0f} Hz, {one['suspects']} suspects: "
+            f"{one['processor_share']:.2f} s of the processor and {one['wall_share']:.2f} s by the clock per "
+            f"second of the log; the longest call of `update` took {one['longest']:.1f} s.",
+        ]
+    return "\n".join(out) + "\n"
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Where logs, rows and results are written.")],
+    quick: Annotated[bool, typer.Option("--quick", help="One log of each kind.")] = False,
+) -> None:
+    """Watches logs with a known answer."""
+    with study(out, quick):
+        rows = [row(name, job, out) for name, job in planned(quick).items()]
+        found = summary(rows)
+        write_results(out, {"program": program(), **found, "rows": rows}, table(found))
+    print((out / "results.md").read_text())
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,10 @@
+from ._follow import follow as follow
+from ._page import Page as Page
+from ._saved import Kept as Kept
+from ._sources import Source as Source
+from ._sources import open_source as open_source
+from ._status import Name as Name
+from ._status import Status as Status
+from ._status import sentence_of as sentence_of
+from ._watch import FALSE_ALARMS as FALSE_ALARMS
+from ._watch import Watch as Watch

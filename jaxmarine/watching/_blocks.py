@@ -1,0 +1,299 @@
+"""Rows of a log that goes on, block by block, as linear systems about the path that is expected.
+
+A block is what a window of a diagnosis beside a disturbance is (`fitting/_filter.py`): half a second, rolled
+out from where all before it lets one expect the craft, and linearised there by every parameter of the
+catalogue at once. Arrays have one shape from the first block to the last, so that one program serves all.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._compiled import compiled
+from .._errors import InputError
+from ..diagnosis import Coefficient, Layout, SaturatedPlant, base_coefficients, parts_of, saturate, strength
+from ..effects import AbstractEffect
+from ..fitting import (
+    USUAL_MEMORY,
+    USUAL_SIZE,
+    Affine,
+    Disturbance,
+    Line,
+    Message,
+    Path,
+    Problem,
+    Records,
+    Windowed,
+    Windows,
+    filtered,
+    lines,
+    noise_of,
+    nothing_known,
+    start_precision,
+    start_spread,
+)
+from ..logs import Log, quaternions_of, smooth_states
+from ..simulation import substeps
+from ..vehicle import Vehicle
+
+# As long as a window of a diagnosis, which begins with any state [s].
+WINDOW = 4.0
+# What actuators and fluid memory were told before a block [s]: ten times what usual ones remember.
+PAST = 10.0
+# From one stretch without a gap to the next: many times any memory [s].
+LONG = 1e6
+# A hold longer than this many samples is a gap, as in a diagnosis.
+GAP = 5.5
+# Rows before and behind those of a block by which velocities are smoothed [s].
+AROUND = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Rows of one stretch without a gap; `commands` has the columns of the vehicle."""
+
+    t: Float[np.ndarray, " rows"]
+    channels: Float[np.ndarray, "rows 18"]
+    commands: Float[np.ndarray, "rows columns"]
+    wrench: Float[np.ndarray, "rows 6"]
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        return self.t, self.channels, self.commands, self.wrench
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def part(self, first: int | None, end: int | None = None) -> "Rows":
+        return Rows(*(one[first:end] for one in self.arrays))
+
+    @staticmethod
+    def joined(*parts: "Rows") -> "Rows":
+        return Rows(*map(np.concatenate, zip(*(one.arrays for one in parts), strict=True)))
+
+    def log(self, vehicle: Vehicle, driven: bool, name: str) -> Log:
+        """The rows as a log; `driven`: by commands, not by a wrench."""
+        names = vehicle.command_names
+        return Log(
+            self.t,
+            self.channels,
+            self.commands if driven else None,
+            None if driven else self.wrench,
+            names,
+            name,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """What stays the same from block to block of one craft and its sensors.
+
+    - `steps`: samples of a block, `dt` [s] apart; `whole`: blocks of a window, after which any state is
+      allowed again; `noise` of each channel, NaN where it is not used.
+    """
+
+    vehicle: Vehicle
+    families: tuple[AbstractEffect, ...]
+    layout: Layout
+    base: tuple[Coefficient, ...]
+    noise: Float[np.ndarray, "18"]
+    channels: tuple[int, ...]
+    dt: float
+    steps: int
+    whole: int
+    unit: Float[np.ndarray, " axes"]
+    axes: tuple[int, ...]
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, log: Log, catalogue: Sequence[type[AbstractEffect]]) -> "Bench":
+        """By the first rows of a log; raises `InputError` where they measure nothing that moves."""
+        noise = noise_of(vehicle, [log])
+        return cls.with_noise(vehicle, noise, log.dt, catalogue)
+
+    @classmethod
+    def with_noise(cls, vehicle: Vehicle, noise, dt: float, catalogue) -> "Bench":
+        free = np.concatenate([vehicle.free] * 3).astype(bool)
+        channels = tuple(np.flatnonzero(np.isfinite(noise) & free).tolist())
+        if not channels:
+            axes = ", ".join(vehicle.dof)
+            raise InputError(
+                f"The rows measure nothing of {axes} that changes; map the columns, or state [sensors]."
+            )
+        families, layout = saturate(vehicle, catalogue)
+        size = max(4, round(WINDOW / dt))
+        whole = parts_of(size, dt)
+        axes = np.flatnonzero(vehicle.free)
+        return cls(
+            vehicle,
+            families,
+            layout,
+            base_coefficients(vehicle, layout),
+            noise,
+            channels,
+            dt,
+            size // whole,
+            whole,
+            strength(vehicle)[axes],
+            tuple(axes.tolist()),
+        )
+
+    @property
+    def past(self) -> int:
+        """Rows before a block that its records hold."""
+        return round(PAST / self.dt)
+
+    @property
+    def settling(self) -> float:
+        """In which actuators forget what they were told before a stretch [s]."""
+        drive = self.vehicle.plant().drive
+        return min(float(jnp.max(4.0 * drive.lag + drive.delay, initial=0.0)), PAST)
+
+    @property
+    def usual(self) -> Disturbance:
+        """The disturbance that is assumed before any was estimated."""
+        return self.force(USUAL_SIZE.median * self.unit, np.full(len(self.axes), USUAL_MEMORY.median))
+
+    def force(self, size, time) -> Disturbance:
+        nothing = jnp.zeros(len(self.axes))
+        return Disturbance(
+            jnp.asarray(size), jnp.asarray(time), nothing, jnp.zeros(1), jnp.zeros(1, bool), self.axes
+        )
+
+    @property
+    def spread(self) -> Array:
+        return start_spread(jnp.asarray(start_precision(self.vehicle.free)))
+
+    @property
+    def nothing(self) -> Message:
+        """Before the first block."""
+        return nothing_known(self.usual, self.layout.size + 1)
+
+    @property
+    def precision(self) -> Float[np.ndarray, " base"]:
+        """Of the prior on the file's coefficients."""
+        return np.array([c.prior**-2.0 for c in self.base])
+
+    def split(self, speed: Float[np.ndarray, "6"]) -> int:
+        """Integration steps per sample, at the fastest that the craft goes."""
+        return substeps(self.vehicle, self.dt, speed)
+
+    def window(self, rows: Rows, begun: "Begun | None", gap: float, joined: bool, split: int) -> Windowed:
+        """A block as a linear system.
+
+        - `rows`: what there is of `past` rows before it, its own, and one more, that ends its last hold.
+        - `begun`: what all before it lets one expect; None: as measured. `gap`, `joined`: see `Disturbance`.
+        """
+        short = self.past + self.steps + 1 - len(rows.t)
+        before = rows.t[0] - self.dt * np.arange(short, 0, -1)
+
+        def filled(values):
+            return np.concatenate([np.repeat(values[:1], short, axis=0), values])
+
+        t = np.concatenate([before, rows.t])
+        here = slice(self.past, self.past + self.steps)
+        around = max(0, len(rows.t) - self.steps - 1 - round(AROUND / self.dt))
+        near = rows.part(around)
+        track = smooth_states(near.log(self.vehicle, False, "rows"), self.vehicle.dof)
+        kept = len(t) - len(near.t)
+        attitude = np.concatenate([np.repeat(track.attitude[:1], kept, axis=0), track.attitude])
+        velocity = np.concatenate([np.repeat(track.nu[:1], kept, axis=0), track.nu])
+        records = Records(
+            t=jnp.asarray(t[None]),
+            dt=jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None]),
+            commands=jnp.asarray(filled(rows.commands)[None]),
+            wrench=jnp.asarray(filled(rows.wrench)[None]),
+            attitude=jnp.asarray(quaternions_of(attitude)[None]),
+            velocity=jnp.asarray(velocity[None]),
+            segment=jnp.zeros((1, len(t)), int),
+        )
+        measured = filled(rows.channels)[here]
+        usable = np.isfinite(measured) & np.isin(np.arange(18), self.channels)
+        weight = np.where(usable, 1.0 / np.where(np.isfinite(self.noise), self.noise, 1.0), 0.0)
+        steep = np.abs(np.cos(attitude[here, 1])) < 0.15
+        weight[steep, 3] = weight[steep, 5] = 0.0
+        first = len(near.t) - self.steps - 1
+        if begun is None:
+            turn = quaternions_of(track.attitude[first : first + 1])[0]
+            begun = Begun(track.position[first], turn, track.nu[first], np.zeros(len(self.axes)))
+        windows = Windows(
+            log=jnp.zeros(1, int),
+            step=jnp.arange(here.start, here.stop)[None],
+            measured=jnp.asarray(np.where(usable, measured, 0.0)[None]),
+            weight=jnp.asarray(weight[None]),
+            position=jnp.asarray(begun.position[None]),
+            attitude=jnp.asarray(begun.attitude[None]),
+            velocity=jnp.asarray(begun.velocity[None]),
+        )
+        problem = Problem(
+            SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed)))),
+            records,
+            windows,
+            jnp.asarray(start_precision(self.vehicle.free)),
+            self.channels,
+            jnp.asarray(split),
+            apart=False,
+        )
+        size = self.layout.size
+        affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
+        force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
+        path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.wrench[None]))
+        window = lines(problem, affine, force, path)[0]
+        return jax.tree.map(lambda a: np.asarray(a)[0], window)
+
+    @property
+    def empty(self) -> Windowed:
+        """A block in which nothing was measured."""
+        rows, columns, axes = len(self.channels), self.layout.size + 1, len(self.axes)
+        line = Line(
+            f=jnp.zeros((self.steps, 13, 13 + axes)),
+            h=jnp.zeros((self.steps, rows, 13 + axes)),
+            residual=jnp.zeros((self.steps, rows, columns)),
+            dt=jnp.full(self.steps, self.dt),
+            begin=jnp.eye(13, 12),
+        )
+        nothing = jnp.zeros(()), jnp.zeros((), bool)
+        return Windowed(line, jnp.zeros(13), jnp.zeros((13, columns)), jnp.zeros(12), *nothing)
+
+
+class Begun(NamedTuple):
+    """What is expected of a craft: NED [m], quaternion, velocity [m/s, rad/s], and the wrench [N, N m]."""
+
+    position: Float[np.ndarray, "3"]
+    attitude: Float[np.ndarray, "4"]
+    velocity: Float[np.ndarray, "6"]
+    wrench: Float[np.ndarray, " axes"]
+
+
+def expected(message: Message, force: Disturbance, after: float) -> Begun:
+    """State where a block ends, and the wrench so long after [s], by all that was measured until then."""
+    mean, end = np.asarray(message.mean)[:, -1], np.asarray(message.end)[:, -1]
+    state = end - mean[:13]
+    turn = state[3:7] / np.linalg.norm(state[3:7])
+    left = np.exp(-after / np.asarray(force.time)) * mean[13:]
+    return Begun(state[:3], turn, state[7:], -left)
+
+
+@compiled
+def passed(message: Message, window: Windowed, force: Disturbance, spread):
+    """What a block says of z, and what it tells the next."""
+    information, log_det, message = window.after(message, filtered(window.line, force), force, spread)
+    return (information[-1, -1] + log_det, information[:-1, -1], information[:-1, :-1]), message
+
+
+@compiled
+def replayed(message: Message, every: Windowed, force: Disturbance, spread, count):
+    """The same of the first `count` of many blocks."""
+
+    def each(message, now):
+        window, index = now
+        said, after = passed(message, window, force, spread)
+        kept = jax.tree.map(lambda a, b: jnp.where(index < count, a, b), after, message)
+        return kept, jax.tree.map(lambda a: jnp.where(index < count, a, 0.0), said)
+
+    message, said = jax.lax.scan(each, message, (every, jnp.arange(len(every.gap))))
+    return said, message

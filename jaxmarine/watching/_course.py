@@ -1,0 +1,76 @@
+"""Rows cut into blocks, each about the path that all before it lets one expect."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..fitting import Windowed
+from ._blocks import GAP, LONG, Begun, Bench, Rows
+
+
+class Course:
+    """A stretch without a gap, and where the craft is expected in it.
+
+    - `rows`: what a block needs of the past, and what is to come; `waiting`: behind them, not joined yet.
+      `next`: where the next block begins in them.
+    - `begun`: what is expected there, None: not known yet, and so as measured. `gap` [s]: to the block
+      before. `within`: blocks of this stretch so far.
+    - `speed` [m/s, rad/s]: the fastest that integration steps are made for, `split` of them per sample.
+    """
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        self.speed, self.split = np.zeros(6), 1
+        self.interrupt(LONG)
+
+    def interrupt(self, gap: float) -> None:
+        """Begins a new stretch; rows of the old one that fill no block are of no use."""
+        self.rows: Rows | None = None
+        self.waiting: list[Rows] = []
+        self.next = int(np.ceil(self.bench.settling / self.bench.dt - 1e-9))
+        self.begun: Begun | None = None
+        self.gap, self.within = gap, 0
+
+    def gap_before(self, row: Rows) -> float:
+        """How long nothing came before a row [s], 0 if that is no gap."""
+        if not self.waiting and self.rows is None:
+            return 0.0
+        last = self.waiting[-1] if self.waiting else self.rows
+        assert last is not None
+        gap = float(row.t[0] - last.t[-1])
+        return gap if gap > GAP * self.bench.dt else 0.0
+
+    def quicken(self, rows: Rows) -> None:
+        """Steps for the speeds of some rows and half as much again, so that they seldom change."""
+        speed = _speeds(rows)
+        if (speed > self.speed).any():
+            self.speed = np.maximum(self.speed, 1.5 * speed)
+            self.split = self.bench.split(self.speed)
+
+    def cut(self) -> tuple[Windowed, Rows] | None:
+        """The next block and its rows, None where there are not enough yet."""
+        bench = self.bench
+        ready = (0 if self.rows is None else len(self.rows)) + len(self.waiting)
+        if ready < self.next + bench.steps + 1:
+            return None
+        some = [] if self.rows is None else [self.rows]
+        rows = Rows.joined(*some, *self.waiting)
+        drop = max(0, self.next - bench.past)
+        self.rows, self.waiting, self.next = rows.part(drop), [], self.next - drop
+        # The row behind a block ends its last hold.
+        end = self.next + bench.steps
+        own = self.rows.part(self.next, end)
+        self.quicken(own)
+        joined = self.within % bench.whole > 0
+        window = bench.window(self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split)
+        return window, self.rows.part(self.next, end + 1)
+
+    def go_on(self, begun: Begun) -> None:
+        """To the next block, where so much is expected."""
+        self.begun, self.gap = begun, 0.0
+        self.within, self.next = self.within + 1, self.next + self.bench.steps
+
+
+def _speeds(rows: Rows) -> Float[np.ndarray, "6"]:
+    """The fastest that rows go on each axis [m/s, rad/s], 1 where that was not measured."""
+    speeds = np.abs(rows.channels[:, 6:12])
+    return np.where(np.isfinite(speeds).any(axis=0), np.nan_to_num(speeds).max(axis=0), 1.0)

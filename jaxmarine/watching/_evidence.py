@@ -1,0 +1,134 @@
+"""What sums over blocks say of suspects, from any beginning on: the nats of a linear model.
+
+Gradient and information of all parameters add up over blocks, and what is said from a beginning on is the
+whole less what was said before. So a few sums tell of suspects that begin there.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+# A direction of which known ones leave less than this share says nothing of its own.
+OWN = 1e-8
+# Precision that stands for no prior, as in a diagnosis.
+TRACE = 1e-8
+
+
+class Sum(NamedTuple):
+    """What was said until a time `t` [s], or from it on; -inf: all.
+
+    - `seen`: how many numbers were measured; `g`, `h`: half the slope of -2 log p by the catalogue's
+      parameters z at z = 0, and their information.
+    """
+
+    t: float
+    seen: int
+    g: Float[np.ndarray, " z"]
+    h: Float[np.ndarray, "z z"]
+
+
+class Member(NamedTuple):
+    """A suspect that is part of the model, from a time on [s]; -inf: always."""
+
+    suspect: int
+    since: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspicions:
+    """The columns of z: those of the file's coefficients, with their prior, and those of each suspect."""
+
+    base: Int[np.ndarray, " base"]
+    precision: Float[np.ndarray, " base"]
+    columns: tuple[Float[np.ndarray, "z _"], ...]
+
+    def _known(self, since: Sequence[Sum], members: Sequence[Member]):
+        """Matrix and slope of what is known; per column its own columns of z and its beginning."""
+        parts = [(np.eye(len(since[0].g))[:, self.base], 0)]
+        parts += [(self.columns[m.suspect], place(since, m.since)) for m in members]
+        size = [one.shape[1] for one, _ in parts]
+        at = np.cumsum([0, *size])
+        h, g = np.zeros((at[-1], at[-1])), np.zeros(at[-1])
+        for i, (a, b) in enumerate(parts):
+            g[at[i] : at[i + 1]] = a.T @ since[b].g
+            for j, (c, d) in enumerate(parts):
+                # What acts in both acts from the later one on.
+                h[at[i] : at[i + 1], at[j] : at[j + 1]] = a.T @ since[later(since, b, d)].h @ c
+        h += np.diag(np.concatenate([self.precision, np.full(at[-1] - size[0], TRACE)]))
+        return parts, h, g
+
+    def estimate(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, " known"]:
+        """The file's coefficients' changes and each member's parameters."""
+        _, h, g = self._known(since, members)
+        return -solved(h, g)
+
+    def covariance(self, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
+        _, h, _ = self._known(since, members)
+        return solved(h, np.eye(len(h)))
+
+    def gained(self, since: Sequence[Sum], members: Sequence[Member]) -> float:
+        """Nats by which the known parameters make all likelier than z = 0 does, the file's integrated out."""
+        _, h, g = self._known(since, members)
+        size = len(self.base)
+        width = np.linalg.slogdet(h[:size, :size] / np.sqrt(np.outer(self.precision, self.precision)))[1]
+        return 0.5 * float(g @ solved(h, g)) - 0.5 * float(width)
+
+    def nats(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, "suspects begun"]:
+        """Of every suspect beside the known ones, for every beginning; -inf of the members.
+
+        Each parameter pays half the logarithm of the numbers measured since (Schwarz), as in a diagnosis.
+        """
+        parts, h_kk, g_k = self._known(since, members)
+        every = np.concatenate(self.columns, axis=1)
+        width = np.array([one.shape[1] for one in self.columns])
+        at = np.cumsum([0, *width])
+        out = np.full((len(self.columns), len(since)), -np.inf)
+        factor = np.linalg.inv(h_kk / scale_of(h_kk)) / scale_of(h_kk)
+        taken = {m.suspect for m in members}
+        for b, one in enumerate(since):
+            h_kc = np.concatenate([a.T @ since[later(since, d, b)].h for a, d in parts]) @ every
+            h_whole = every.T @ one.h @ every
+            h = h_whole - h_kc.T @ factor @ h_kc
+            g = every.T @ one.g - h_kc.T @ (factor @ g_k)
+            own, whole = np.diag(h), np.diag(h_whole)
+            tells = own > OWN * whole + 1e-300
+            price = 0.5 * np.log(max(one.seen, 2))
+            alone = np.where(tells, 0.5 * g**2 / np.where(tells, own, 1.0), 0.0)
+            for i in range(len(self.columns)):
+                if i in taken:
+                    continue
+                here = slice(at[i], at[i + 1])
+                if width[i] == 1:
+                    out[i, b] = alone[at[i]] - price
+                else:
+                    good = np.flatnonzero(tells[here]) + at[i]
+                    gain = g[good] @ solved(h[np.ix_(good, good)], g[good]) if len(good) else 0.0
+                    out[i, b] = 0.5 * float(gain) - width[i] * price
+        return out
+
+
+def later(since: Sequence[Sum], a: int, b: int) -> int:
+    return a if since[a].t >= since[b].t else b
+
+
+def place(since: Sequence[Sum], t: float) -> int:
+    """The beginning that is nearest to a time."""
+    if t == -np.inf:
+        return 0
+    return int(np.argmin([np.inf if one.t == -np.inf else abs(one.t - t) for one in since]))
+
+
+def scale_of(h: np.ndarray) -> np.ndarray:
+    root = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    return np.outer(root, root)
+
+
+def solved(h: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """h^-1 g of a positive semidefinite matrix whose columns are in different units."""
+    root = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    scaled = h / np.outer(root, root) + 1e-10 * np.eye(len(h))
+    rest = (g.T / root).T
+    return (np.linalg.solve(scaled, rest).T / root).T

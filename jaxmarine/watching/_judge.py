@@ -1,0 +1,213 @@
+"""Which suspect it is, and when that is sure.
+
+What is said of the last minute or two is said beside a disturbance whose sizes and memories were estimated
+on just these blocks, beside the model that is compared: so much a diagnosis would do. What is older keeps
+what it was judged by.
+
+When to be sure: the ratio of a suspect's likelihood to that of none is a martingale where nothing is wrong.
+A sum of such ratios over all suspects, one begun at every window, passes a bound in no less than bound
+windows on the average; the largest passes it no sooner. So the bound follows from how often a false name may
+be said. After Shiryaev and Roberts on quickest detection, and Ville's inequality. It holds as far as the
+model of what disturbs the craft does, a Gauss-Markov wrench per axis, and no further: its sizes are estimated
+from the same rows, and what is no such wrench (swell, a current that turns) is evidence for whatever explains
+it best.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..diagnosis import CLOSE
+from ._evidence import Member, Sum
+from ._ledger import CHUNK, Account, Ledger
+from ._status import Name, moment_of
+
+# Blocks after which sizes and memories are estimated first: 32 s, some memories of a usual disturbance.
+OPENING = 64
+# Blocks from one look at the suspects to the next, and between estimates that a suspicion asks for.
+LOOK, PATIENCE = 4, 16
+# Nats from which on a disturbance is estimated beside the leading suspect as well.
+LEADS = 3.0
+# Rivals with a disturbance of their own each before one is named; those with this share of the best's nats.
+RIVALS, HOPEFUL = 3, 0.5
+DAY = 86400.0
+
+
+class Judge:
+    """Weighs the suspects as blocks come, and names one that is sure.
+
+    - `bound` [nats]: from which on a suspect is named. `nats`: of each suspect at its best beginning, as last
+      weighed.
+    - `members`: those that are named, `named` in words; `undecided`: labels that explain the blocks alike.
+    - `estimated_at`: the block at which disturbances were last estimated, -1: never.
+    """
+
+    def __init__(self, ledger: Ledger, false_alarms: float):
+        self.ledger = ledger
+        bench = ledger.bench
+        window = bench.whole * bench.steps * bench.dt
+        chances = len(bench.layout.suspects) * DAY / window
+        self.bound = float(np.log(chances / false_alarms)) if false_alarms else np.inf
+        self.members: tuple[Member, ...] = ()
+        self.named: tuple[Name, ...] = ()
+        self.undecided: tuple[str, ...] = ()
+        self.nats: np.ndarray | None = None
+        self.estimated_at, self.patience = -1, PATIENCE
+
+    def judge(self) -> list[str]:
+        """After each block; what is new."""
+        ledger = self.ledger
+        opening = self.estimated_at < 0
+        if ledger.full or (opening and ledger.held >= OPENING):
+            self._estimate()
+            told = self._look()
+            if ledger.full:
+                ledger.release([m.since for m in self.members if m.since > -np.inf])
+            return told
+        return [] if opening or ledger.blocks % LOOK else self._look()
+
+    # --- weighing --------------------------------------------------------------------------------
+
+    def _estimate(self) -> None:
+        """The disturbance of the blocks that are held, beside what is named, and beside the leading suspect.
+
+        That which leads before a disturbance has grown to what it does, or that which leads beside it then.
+        """
+        ledger = self.ledger
+        leaders = [self._leading()]
+        ledger.estimate(ledger.accounts[0], self.members)
+        self.estimated_at = ledger.blocks
+        latest = ledger.accounts[-1]
+        del ledger.accounts[1:]
+        leaders.append(self._leading())
+        likely: list[tuple[float, Account]] = []
+        for leader in dict.fromkeys(one for one in leaders if one is not None):
+            own, model = latest.branched(), (*self.members, leader)
+            ledger.estimate(own, model)
+            likely.append((ledger.likelihood(own, ledger.since(own), model), own))
+        if likely:
+            ledger.accounts.append(max(likely, key=lambda one: one[0])[1])
+
+    def _weigh(self) -> tuple[list[Sum], np.ndarray]:
+        """Nats of every suspect and beginning, each beside the disturbance that suits it best."""
+        ledger = self.ledger
+        tables, levels = [], []
+        for account in ledger.accounts:
+            since = ledger.since(account)
+            level = ledger.likelihood(account, since, self.members)
+            tables.append(ledger.nats(account, since, self.members) + level)
+            levels.append(level)
+        return ledger.since(ledger.accounts[0]), np.max(tables, axis=0) - max(levels)
+
+    def _leading(self) -> Member | None:
+        since, table = self._weigh()
+        i = int(np.argmax(table.max(axis=1)))
+        b, nats = best_beginning(since, table[i])
+        return Member(i, since[b].t) if nats > LEADS else None
+
+    def _hopeful(self) -> list[Member]:
+        """The best suspects, each with its beginning."""
+        since, table = self._weigh()
+        best = self.nats = table.max(axis=1)
+        order = np.argsort(-best)[:RIVALS]
+        some = [int(i) for i in order if best[i] > max(HOPEFUL * best[order[0]], LEADS)]
+        return [Member(i, since[best_beginning(since, table[i])[0]].t) for i in some]
+
+    # --- naming ----------------------------------------------------------------------------------
+
+    def _look(self) -> list[str]:
+        """Weighs all suspects, and names one that is sure."""
+        ledger = self.ledger
+        suspected = self._hopeful()
+        waited = ledger.blocks - self.estimated_at
+        if self.nats is None or self.nats.max() < self.bound:
+            if waited >= PATIENCE:
+                self.undecided, self.patience = (), PATIENCE
+            return []
+        if waited:
+            if waited < self.patience:
+                return []
+            self.patience = min(2 * self.patience, CHUNK)
+            self._estimate()
+            suspected += self._hopeful()
+        return self._decide(list({one.suspect: one for one in suspected}.values()))
+
+    def _decide(self, hopeful: Sequence[Member]) -> list[str]:
+        """Names the best suspect, each weighed beside a disturbance of its own, if it is sure."""
+        ledger = self.ledger
+        first = ledger.accounts[0]
+        level = max(ledger.likelihood(a, ledger.since(a), self.members) for a in ledger.accounts)
+        weighed: list[tuple[float, Member, Account]] = []
+        for member in hopeful:
+            own = ledger.accounts[-1].branched()
+            ledger.estimate(own, (*self.members, member))
+            found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
+            nats, since, account = max(found, key=lambda one: one[0])
+            weighed.append((nats, Member(member.suspect, since), account))
+        weighed.sort(key=lambda one: -one[0])
+        if not weighed or weighed[0][0] < self.bound:
+            self.undecided = ()
+            return []
+        nats, member, own = weighed[0]
+        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > nats - CLOSE / 2]
+        if close:
+            both = (self.label(member.suspect), *close)
+            if {*both} == {*self.undecided}:
+                return []
+            self.undecided = both
+            return [
+                f"t = {ledger.t:g} s: something is wrong, {moment_of(_time(member))} ({nats:.0f} nats); what "
+                f"it is cannot be told yet, {', '.join(both)} explain it alike."
+            ]
+        self.undecided, self.patience = (), PATIENCE
+        self.members = (*self.members, member)
+        ledger.accounts = [own if own is not first else first.branched()]
+        name = Name(
+            self.label(member.suspect), _time(member), ledger.t, nats, self.parameters(len(self.members) - 1)
+        )
+        self.named = (*self.named, name)
+        self.nats = self._weigh()[1].max(axis=1)
+        values = ", ".join(f"{k} = {v:.3g} ± {s:.2g}" for k, (v, s, _) in name.parameters.items())
+        return [
+            f"t = {ledger.t:g} s: {name.label}, {moment_of(name.since)}: {values} ({nats:.0f} nats; named "
+            f"from {self.bound:.0f})."
+        ]
+
+    def _worth(self, account: Account, suspect: int, level: float) -> tuple[float, float]:
+        """A suspect's nats beside the disturbance of an account, and its beginning; `level`: of none."""
+        ledger = self.ledger
+        since = ledger.since(account)
+        nats = ledger.nats(account, since, self.members)[suspect]
+        b, best = best_beginning(since, nats + ledger.likelihood(account, since, self.members) - level)
+        return best, since[b].t
+
+    def label(self, suspect: int) -> str:
+        return self.ledger.bench.layout.suspects[suspect].label
+
+    def parameters(self, which: int) -> dict[str, tuple[float, float, str]]:
+        """Of a member, as it is known now: value, standard error, unit."""
+        ledger, member = self.ledger, self.members[which]
+        suspicions, since = ledger.suspicions, ledger.since(ledger.accounts[0])
+        z = suspicions.estimate(since, self.members)
+        std = np.sqrt(np.diag(suspicions.covariance(since, self.members)))
+        at = len(suspicions.base)
+        at += sum(suspicions.columns[m.suspect].shape[1] for m in self.members[:which])
+        suspect = ledger.bench.layout.suspects[member.suspect]
+        here = slice(at, at + len(suspect.slots))
+        values = ledger.bench.layout.values(member.suspect, z[here])
+        return {
+            name: (value, float(s), suspect.effect.units[name])
+            for (name, value), s in zip(values.items(), std[here], strict=True)
+        }
+
+
+def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:
+    """Of one suspect, and its nats there: always, unless a beginning pays for itself."""
+    b = int(np.argmax(nats))
+    price = 0.5 * np.log(max(since[0].seen, 2))
+    return (0, float(nats[0])) if nats[b] - price < nats[0] else (b, float(nats[b]))
+
+
+def _time(member: Member) -> float | None:
+    """Since when [s], None: always."""
+    return None if member.since == -np.inf else member.since

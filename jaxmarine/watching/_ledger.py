@@ -1,0 +1,276 @@
+"""The blocks of the last minute or two, and what they and all before them say beside a disturbance.
+
+How large the disturbance is and how long it lasts is estimated on the blocks that are held, beside a model,
+as a diagnosis does on a whole log; then they are filtered anew. Blocks that are let go leave the sums that
+they were judged by, so that memory stays constant. Beginnings that are long ago are kept with gaps that grow
+with their age.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..fitting import Disturbance, Message, Windowed, estimated
+from ._blocks import LONG, Begun, Bench, expected, passed, replayed
+from ._evidence import Member, Sum, Suspicions
+
+# Blocks that are let go at once; twice as many are held at most.
+CHUNK = 80
+# Beginnings before the blocks that are held, at most.
+KEPT = 24
+# Variance of the logarithms of sizes and memories before anything is known of them.
+UNLEARNED = 0.25
+# Columns of z, and since when they act [s].
+Gate = tuple[tuple[int, ...], float]
+Says = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclasses.dataclass
+class Account:
+    """What blocks say beside one disturbance.
+
+    - `message`: what is known where the last block ends, `before`: where the held ones begin.
+    - `minus_twice`, `sums`: of the blocks that are held no more; beginnings among them, the last one now.
+    - `said`: per block that is held -2 log p, gradient, information.
+    - `learned`: covariance of the logarithms of sizes and memories (`fitting.estimated`).
+    - `gates`: columns of z that act from a time on [s] only.
+    """
+
+    force: Disturbance
+    before: Message
+    message: Message
+    minus_twice: float
+    sums: list[Sum]
+    said: Says
+    learned: Float[np.ndarray, "logarithms logarithms"]
+    gates: tuple[Gate, ...] = ()
+
+    @classmethod
+    def blank(cls, bench: Bench) -> "Account":
+        """Before the first block, beside a usual disturbance."""
+        size, most = bench.layout.size, 2 * CHUNK
+        zero = Sum(-np.inf, 0, np.zeros(size), np.zeros((size, size)))
+        said = np.zeros(most), np.zeros((most, size)), np.zeros((most, size, size))
+        learned = UNLEARNED * np.eye(2 * len(bench.axes))
+        return cls(bench.usual, bench.nothing, bench.nothing, 0.0, [zero], said, learned)
+
+    def branched(self) -> "Account":
+        minus, g, h = self.said
+        said = np.array(minus), np.array(g), np.array(h)
+        return dataclasses.replace(self, sums=list(self.sums), said=said)
+
+
+class Ledger:
+    """What was said so far.
+
+    - `held`: blocks at hand; of each `windows`, where it begins `begun_at` [s], and how many numbers were
+      measured in it, `counts`.
+    - `blocks`: since the first; `let_go`: how often half of those held were; `t`: where the last ends [s].
+    - `accounts`: the first one is beside what is named, and says where the craft is expected.
+    """
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        self.suspicions = Suspicions(
+            np.array([c.index for c in bench.base]), bench.precision, bench.layout.columns
+        )
+        most = 2 * CHUNK
+        self.accounts = [Account.blank(bench)]
+        self.windows: Windowed = jax.tree.map(lambda a: np.array([a] * most), bench.empty)
+        self.begun_at, self.counts = np.zeros(most), np.zeros(most, int)
+        self.held, self.blocks, self.let_go, self.t = 0, 0, 0, -np.inf
+
+    @property
+    def full(self) -> bool:
+        return self.held == 2 * CHUNK
+
+    def add(self, window: Windowed, begins: float, ends: float, count: int) -> Begun | None:
+        """Filters one more block in which so many numbers were measured; where it leaves the craft.
+
+        None where the craft runs away from what is expected: the block counts for nothing.
+        """
+        k = self.held
+        for kept, new in zip(jax.tree.leaves(self.windows), jax.tree.leaves(window), strict=True):
+            kept[k] = new
+        self.begun_at[k], self.counts[k] = begins, count
+        for account in self.accounts:
+            said, account.message = passed(account.message, window, account.force, self.bench.spread)
+            for kept, new in zip(account.said, said, strict=True):
+                kept[k] = new
+        first = self.accounts[0]
+        now = expected(first.message, first.force, 0.5 * float(window.line.dt.sum()))
+        if not all(np.isfinite(one).all() for one in now):
+            for account in self.accounts:
+                account.message = self.bench.nothing
+            return None
+        self.held, self.blocks, self.t = k + 1, self.blocks + 1, ends
+        return now
+
+    def since(self, account: Account) -> list[Sum]:
+        return since_each(account, self.held, self.bench.whole, self.begun_at, self.counts)
+
+    def nats(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
+        """Nats beside what is named; what only acts from a time on in an account cannot have begun before."""
+        nats = self.suspicions.nats(since, members)
+        begun = np.array([one.t for one in since])
+        for columns, gate in account.gates:
+            for i in range(len(nats)):
+                if {*columns} & {*self._columns(i)}:
+                    nats[i, begun < gate - 1e-9] = -np.inf
+        return nats
+
+    def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
+        """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
+        minus_twice = account.minus_twice + float(account.said[0][: self.held].sum())
+        return self.suspicions.gained(since, members) - 0.5 * minus_twice
+
+    # --- a disturbance beside a model ------------------------------------------------------------
+
+    def estimate(self, account: Account, members: Sequence[Member]) -> None:
+        """Estimates the disturbance of the blocks that are held beside a model, and filters them anew."""
+        bench = self.bench
+        gates = self._gates(account, members)
+        if gates != account.gates:
+            account.gates = gates
+            self._replay(account)
+        z = self._acting(self.suspicions.estimate(self.since(account), members), members)
+        line, end = self.windows.line, self.windows.end
+        residual = line.residual[..., -1] + np.einsum("bsrz,bz->bsr", line.residual[..., :-1], z)
+        ends = end[..., -1] + np.einsum("bsz,bz->bs", end[..., :-1], z)
+        # Blocks that are held no more leave their numbers behind.
+        live = np.arange(2 * CHUNK) < self.held
+        line = dataclasses.replace(
+            line,
+            residual=jnp.asarray(np.where(live[:, None, None], residual, 0.0)[..., None]),
+            h=jnp.asarray(np.where(live[:, None, None, None], line.h, 0.0)),
+        )
+        gap, joined = np.array(self.windows.gap), np.array(self.windows.joined)
+        gap[0], joined[0] = LONG, False
+        every = dataclasses.replace(
+            self.windows,
+            line=line,
+            end=jnp.asarray(ends[..., None]),
+            gap=jnp.asarray(gap),
+            joined=jnp.asarray(joined),
+        )
+        force, account.learned, _ = estimated(bench.spread, every, account.force, bench.unit, account.learned)
+        account.force = bench.force(force.size, force.time)
+        self._replay(account)
+
+    def _acting(self, known: np.ndarray, members: Sequence[Member]) -> np.ndarray:
+        """z of each block that is held: the file's coefficients, and members from their beginning on."""
+        at = len(self.suspicions.base)
+        z = np.zeros((2 * CHUNK, self.bench.layout.size))
+        z[:, self.suspicions.base] += known[:at]
+        for member in members:
+            own = self.suspicions.columns[member.suspect]
+            acts = self.begun_at >= member.since - 1e-9
+            z += acts[:, None] * (own @ known[at : at + own.shape[1]])
+            at += own.shape[1]
+        return z
+
+    def _gates(self, account: Account, members: Sequence[Member]) -> tuple[Gate, ...]:
+        """Columns of members that began among the blocks that are held, or did so when these were held."""
+        found = [(self._columns(m.suspect), m.since) for m in members if m.since > -np.inf]
+        early = self.begun_at[0]
+        return tuple(gate for gate in found if gate[1] >= early or gate in account.gates)
+
+    def _columns(self, suspect: int) -> tuple[int, ...]:
+        return tuple(np.flatnonzero(self.suspicions.columns[suspect].any(axis=1)).tolist())
+
+    def _replay(self, account: Account) -> None:
+        """Filters the blocks that are held once more, from where they begin."""
+        message = account.before
+        for columns, since in account.gates:
+            if since >= self.begun_at[0]:
+                # What has not begun has left no trace.
+                at = np.array(columns)
+                parts = {"mean": message.mean.at[:, at].set(0.0), "end": message.end.at[:, at].set(0.0)}
+                message = dataclasses.replace(message, **parts)
+        for first in (0, CHUNK):
+            count = min(max(self.held - first, 0), CHUNK)
+            if count:
+                message = self._filter(account, message, first, count)
+        account.message = message
+
+    def _filter(self, account: Account, message: Message, first: int, count: int) -> Message:
+        """So many blocks from one on; what they leave."""
+        part: Windowed = jax.tree.map(lambda a: a[first : first + CHUNK], self.windows)
+        for columns, since in account.gates:
+            early, at = self.begun_at[first : first + CHUNK] < since - 1e-9, np.array(columns)
+            residual, end = np.array(part.line.residual), np.array(part.end)
+            residual[np.ix_(early, *map(np.arange, residual.shape[1:3]), at)] = 0.0
+            end[np.ix_(early, np.arange(end.shape[1]), at)] = 0.0
+            line = dataclasses.replace(part.line, residual=jnp.asarray(residual))
+            part = dataclasses.replace(part, line=line, end=jnp.asarray(end))
+        said, message = replayed(message, part, account.force, self.bench.spread, jnp.asarray(count))
+        for kept, new in zip(account.said, said, strict=True):
+            kept[first : first + CHUNK] = new
+        return message
+
+    # --- memory ----------------------------------------------------------------------------------
+
+    def release(self, pinned: Sequence[float]) -> None:
+        """Lets the older half of the blocks go; their sums stay. `pinned`: beginnings that are kept [s]."""
+        whole = self.bench.whole
+        for account in self.accounts:
+            message = self._filter(account, account.before, 0, CHUNK)
+            minus, g, h = account.said
+            for k in range(0, CHUNK, whole):
+                here = slice(k, min(k + whole, CHUNK))
+                last = account.sums[-1]
+                # The last sum is all so far; at its time the next beginning lies.
+                account.sums[-1] = last._replace(t=float(self.begun_at[k]))
+                account.sums.append(
+                    Sum(
+                        float(self.begun_at[min(here.stop, self.held - 1)]),
+                        last.seen + int(self.counts[here].sum()),
+                        last.g + g[here].sum(axis=0),
+                        last.h + h[here].sum(axis=0),
+                    )
+                )
+            account.minus_twice += float(minus[:CHUNK].sum())
+            account.sums = thinned(account.sums, pinned)
+            account.before = message
+            for kept in account.said:
+                kept[:CHUNK] = kept[CHUNK:]
+                kept[CHUNK:] = 0.0
+        for kept in (*jax.tree.leaves(self.windows), self.begun_at, self.counts):
+            kept[:CHUNK] = kept[CHUNK:]
+        self.held, self.let_go = self.held - CHUNK, self.let_go + 1
+
+
+def since_each(account: Account, held: int, every: int, begun, counts) -> list[Sum]:
+    """From always, then from each beginning that is kept, and from every so many of the blocks held.
+
+    - `begun` [s], `counts`: where each held block begins, and the measured numbers in it.
+    """
+    _, g, h = account.said
+    last = account.sums[-1]
+    out = [Sum(np.inf, 0, np.zeros_like(last.g), np.zeros_like(last.h))]
+    for k in reversed(range(0, held, every)):
+        here, later = slice(k, min(k + every, held)), out[-1]
+        seen = later.seen + int(counts[here].sum())
+        out.append(Sum(float(begun[k]), seen, later.g + g[here].sum(axis=0), later.h + h[here].sum(axis=0)))
+    now = out[-1]
+    total = Sum(-np.inf, last.seen + now.seen, last.g + now.g, last.h + now.h)
+    for one in reversed(account.sums[:-1]):
+        out.append(Sum(one.t, total.seen - one.seen, total.g - one.g, total.h - one.h))
+    return [total, *(one for one in reversed(out[1:]) if one.seen < total.seen)]
+
+
+def thinned(sums: list[Sum], pinned: Sequence[float]) -> list[Sum]:
+    """At most `KEPT` beginnings: of neighbours goes the one whose loss leaves the least gap for its age."""
+    sums = list(sums)
+    while len(sums) > KEPT + 1 + len(pinned):
+        now = sums[-1].t
+        gaps = [
+            np.inf if sums[i].t in pinned else (sums[i + 1].t - sums[i - 1].t) / (now - sums[i - 1].t + 1e-9)
+            for i in range(1, len(sums) - 1)
+        ]
+        del sums[1 + int(np.argmin(gaps))]
+    return sums

@@ -1,0 +1,148 @@
+"""The page of a watch, served on this machine alone: it is read, and changes nothing."""
+
+import json
+import threading
+from collections import deque
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._extras import of_extra
+from ..physics import to_euler
+from ._status import Status, moment_of, sentence_of
+from ._watch import Watch
+
+with of_extra("report", "The page of a watch"):
+    import jinja2
+
+# Suspects whose nats are drawn, and moments that are drawn of a watch: of two neighbours one goes where there
+# are more.
+SHOWN, MOMENTS = 6, 400
+_HOST = "127.0.0.1"
+_SAFE = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+class History:
+    """Nats of the suspects that led, over time; as many moments as are drawn, however long it goes on."""
+
+    def __init__(self):
+        self.moments: deque[tuple[float, dict[str, float]]] = deque()
+
+    def add(self, status: Status) -> None:
+        if not status.nats or (self.moments and self.moments[-1][0] >= status.t):
+            return
+        best = sorted(status.nats.items(), key=lambda item: -item[1])[:SHOWN]
+        named = {name.label: name.nats for name in status.named}
+        self.moments.append((status.t, {label: nats for label, nats in best if nats > 0.0} | named))
+        if len(self.moments) > MOMENTS:
+            kept = [one for k, one in enumerate(self.moments) if k % 2 or k > MOMENTS * 3 // 4]
+            self.moments = deque(kept)
+
+
+def told_of(watch: Watch, history: History, source: str) -> dict:
+    """What the page shows, as plain numbers and words."""
+    status = watch.status
+    state = {}
+    if status.state is not None:
+        angles = np.degrees(np.asarray(to_euler(jnp.asarray(status.state.attitude))))
+        values = [*status.state.position, *angles, *status.state.velocity[:3]]
+        values += [*np.degrees(status.state.velocity[3:])]
+        units = ["m"] * 3 + ["deg"] * 3 + ["m/s"] * 3 + ["deg/s"] * 3
+        names = ("north", "east", "down", "roll", "pitch", "yaw", "u", "v", "w", "p", "q", "r")
+        state = {
+            f"{name} [{unit}]": round(float(v), 3) for name, unit, v in zip(names, units, values, strict=True)
+        }
+    wrench = [] if status.state is None else status.state.wrench.tolist()
+    disturbance = [
+        {"axis": axis, "now": w, "size": s, "memory": m, "unit": "N" if axis in FORCES else "N m"}
+        for axis, w, s, m in zip(status.axes, wrench, status.size, status.memory, strict=False)
+    ]
+    return {
+        "vehicle": watch.vehicle.name,
+        "source": source,
+        "t": status.t if np.isfinite(status.t) else None,
+        "verdict": sentence_of(status),
+        "bound": status.bound if np.isfinite(status.bound) else None,
+        "named": [
+            {
+                "label": name.label,
+                "since": moment_of(name.since),
+                "nats": name.nats,
+                "values": {k: [v, s, u] for k, (v, s, u) in name.parameters.items()},
+            }
+            for name in status.named
+        ],
+        "state": state,
+        "disturbance": disturbance,
+        "unseen": list(status.unseen),
+        "nats": [[t, some] for t, some in history.moments],
+        "told": watch.told[-12:],
+    }
+
+
+FORCES = ("surge", "sway", "heave")
+
+
+class Page:
+    """Serves the page of a watch on 127.0.0.1; `shown` hands it what is new."""
+
+    def __init__(self, vehicle: str, source: str, port: int):
+        text = resources.files("jaxmarine.watching").joinpath("watch.html.j2").read_text("utf-8")
+        template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(text)
+        page = template.render(vehicle=vehicle, source=source).encode()
+        self.source, self.history = source, History()
+        self._state = b"{}"
+
+        def state() -> bytes:
+            return self._state
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self):
+                # Another site may not read it through a name of its own that leads here.
+                host = self.headers.get("Host", "").rpartition(":")[0]
+                found = {"/": (page, "text/html"), "/state.json": (state(), "application/json")}
+                content, kind = found.get(self.path, (b"", ""))
+                code = 403 if host not in (_HOST, "localhost") else 200 if kind else 404
+                self.send_response(code)
+                for name, value in _SAFE.items():
+                    self.send_header(name, value)
+                content = content if code == 200 else b""
+                self.send_header("Content-Type", f"{kind or 'text/plain'}; charset=utf-8")
+                self.send_header("Content-Length", str(len(content)))
+                self.end_headers()
+                self.wfile.write(content)
+
+            def log_message(self, format, *args):
+                del format, args
+
+        try:
+            self._server = ThreadingHTTPServer((_HOST, port), Handler)
+        except OSError as error:
+            raise InputError(
+                f"Port {port} cannot be served ({str(error.strerror).lower()}); choose another --port, 0 for "
+                "any."
+            ) from error
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    @property
+    def address(self) -> str:
+        return f"http://{_HOST}:{self._server.server_address[1]}/"
+
+    def shown(self, watch: Watch) -> None:
+        """Takes over where the watch stands."""
+        self.history.add(watch.status)
+        self._state = json.dumps(told_of(watch, self.history, self.source), allow_nan=False).encode()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()

@@ -1,0 +1,37 @@
+"""The study of a craft that is watched: its quick way, and its numbers as the page has them."""
+
+import json
+
+import pytest
+
+from experiments import live as study
+
+from .conftest import ROOT
+
+
+def test_the_page_has_the_numbers_of_the_study():
+    kept = json.loads((study.HERE / "results.json").read_text())
+    found = study.summary(kept["rows"])
+    assert {name: kept[name] for name in found} == found
+    page = (ROOT / "docs" / "live.md").read_text()
+    assert study.table(found) in page
+
+
+def test_what_is_named_before_the_fault_is_false():
+    name = {"label": "a", "since": None, "at": study.SINCE - 1.0, "nats": 20.0}
+    log = {"kind": "delay", "disturbance": "none", "factor": 0.8, "first_right": False, "delay": 12.0}
+    null = {"kind": "null", "disturbance": "none", "hours": 0.5, "named": [name | {"label": "b"}]}
+    late = name | {"at": study.SINCE + 12.0}
+    found = study.summary([log | {"named": [name, late]}, log | {"named": [], "delay": None}, null])
+    (quiet,), (size,) = found["quiet"], found["sizes"]
+    assert quiet["names"] == ["a", "b"] and quiet["hours"] == 0.5 + 2 * study.SINCE / 3600.0
+    assert (size["named"], size["logs"], size["delays"]) == (1, 2, [12.0])
+
+
+@pytest.mark.slow
+def test_a_quick_study_names_the_thruster(tmp_path):
+    study.main(tmp_path, quick=True)
+    found = json.loads((tmp_path / "results.json").read_text())
+    (same,), (size,), (quiet,), (pace,) = (found[name] for name in ("same", "sizes", "quiet", "pace"))
+    assert same["named"][0]["label"] == same["diagnosed"][0][0] == f"thruster_gain:{study.THRUSTER}"
+    assert size["named"] == 1 and quiet["names"] == [] and pace["axes"] == 6

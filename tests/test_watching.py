@@ -1,0 +1,229 @@
+"""A craft that is watched: evidence against least squares, names, interruptions, and a kill."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxmarine import InputError
+from jaxmarine._types import CHANNELS
+from jaxmarine.disturbances import RandomWrench
+from jaxmarine.effects import ConstantWrench, LinearDamping, QuadraticDamping, ThrusterGain, place
+from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle import Placed
+from jaxmarine.vehicle_io import suspect_named
+from jaxmarine.watching import Kept, Watch, _judge, _ledger, _saved
+from jaxmarine.watching._evidence import Member, Sum, Suspicions
+from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
+from tests.boats import NOISE, boat, record, steps
+
+SMALL = (ThrusterGain, ConstantWrench, LinearDamping, QuadraticDamping)
+WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _small():
+    """Fewer blocks are held: some are let go, and a snapshot is written, after 24 s and not after 80."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (_judge, _ledger, _saved):
+            patch.setattr(module, "CHUNK", 24)
+        patch.setattr(_judge, "OPENING", 20)
+        yield
+
+
+def rows_of(log: Log):
+    for k in range(len(log.t)):
+        seen = {name: log.channels[k, c] for c, name in enumerate(CHANNELS)}
+        assert log.commands is not None
+        yield {"t": log.t[k]} | seen | dict(zip(log.command_names, log.commands[k], strict=True))
+
+
+@pytest.fixture(scope="module")
+def broken() -> Log:
+    """A boat whose starboard thruster grows weak under way."""
+    weak = place(suspect_named(boat(), "thruster_gain", "starboard"), boat(), {"factor": WEAK})
+    return record(boat().place(Placed(weak, "starboard", SINCE)), steps(SAMPLES), seed=1)
+
+
+@pytest.fixture(scope="module")
+def watched(broken) -> tuple[Watch, list[str]]:
+    watch = Watch(boat(), catalogue=SMALL)
+    return watch, [said for row in rows_of(broken) for said in watch.update(row)]
+
+
+# --- evidence ------------------------------------------------------------------------------------
+
+
+def linear(seed: int = 0):
+    """Blocks of a linear model of five numbers, the last three of which are suspected, as an account."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(24, 10, 5)), rng.normal(size=(24, 10))
+    said = (y**2).sum(1), np.einsum("bnz,bn->bz", x, y), np.einsum("bnz,bny->bzy", x, x)
+    zero = Sum(-np.inf, 0, np.zeros(5), np.zeros((5, 5)))
+    account = Account(None, None, None, 0.0, [zero], said, np.eye(2))  # pyright: ignore
+    suspects = Suspicions(np.array([0, 1]), np.array([4.0, 0.3]), (np.eye(5)[:, [2]], np.eye(5)[:, [3, 4]]))
+    return x, y, account, suspects
+
+
+def saved(x, y, precision, first: int, own) -> float:
+    """Chi-square that `own` columns save from a block on beside columns 0 and 1 under a prior."""
+
+    def left(columns):
+        prior = np.zeros((2, columns.shape[1]))
+        prior[[0, 1], [0, 1]] = np.sqrt(precision)
+        whole, target = np.concatenate([columns, prior]), np.concatenate([y.ravel(), np.zeros(2)])
+        return np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2)
+
+    acts = np.repeat(np.arange(len(x)) >= first, x.shape[1])[:, None]
+    flat = x.reshape(-1, x.shape[2])
+    return left(flat[:, :2]) - left(np.concatenate([flat[:, :2], acts * flat[:, own]], axis=1))
+
+
+def test_nats_are_those_of_least_squares_from_every_beginning():
+    x, y, account, suspects = linear()
+    since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
+    assert [one.t for one in since] == [-np.inf, 4.0, 8.0, 12.0, 16.0, 20.0]
+    nats = suspects.nats(since, ())
+    for b, first in enumerate((0, 4, 8, 12, 16, 20)):
+        price = 0.5 * np.log(10.0 * (24 - first))
+        for i, own in enumerate(([2], [3, 4])):
+            expected = 0.5 * saved(x, y, suspects.precision, first, own) - len(own) * price
+            # The ridge that keeps singular suspects solvable is 1e-10 of the scale.
+            assert nats[i, b] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_a_member_leaves_a_rival_what_it_does_not_explain():
+    x, y, account, suspects = linear()
+    since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
+    beside = suspects.nats(since, (Member(0, 8.0),))
+    assert beside[0].max() == -np.inf
+    acts = np.repeat(np.arange(24) >= 8, 10)[:, None]
+    flat = x.reshape(-1, 5)
+    known = np.concatenate([flat[:, :2], acts * flat[:, [2]]], axis=1)
+    later = np.repeat(np.arange(24) >= 12, 10)[:, None] * flat[:, 3:]
+
+    def left(columns):
+        prior = np.zeros((2, columns.shape[1]))
+        prior[[0, 1], [0, 1]] = np.sqrt(suspects.precision)
+        whole, target = np.concatenate([columns, prior]), np.concatenate([y.ravel(), np.zeros(2)])
+        return np.sum((target - whole @ np.linalg.lstsq(whole, target)[0]) ** 2)
+
+    expected = 0.5 * (left(known) - left(np.concatenate([known, later], axis=1))) - np.log(120.0)
+    assert beside[1, 3] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_beginnings_are_kept_in_constant_room_and_thin_out_with_age():
+    zero, sums = np.zeros(1), [Sum(-np.inf, 0, np.zeros(1), np.zeros((1, 1)))]
+    for k in range(2000):
+        sums[-1] = sums[-1]._replace(t=4.0 * k)
+        sums.append(Sum(4.0 * k + 4.0, k + 1, zero, np.zeros((1, 1))))
+        sums = thinned(sums, (400.0,))
+    ages = sums[-1].t - np.array([one.t for one in sums[1:-1]])
+    assert len(sums) <= KEPT + 2 and 400.0 in [one.t for one in sums]
+    # An age is met within half of it, and the last ones stand side by side.
+    assert ages[-1] == 4.0 and np.all(ages[:-1] / ages[1:] <= 2.0 + 1e-9)
+
+
+# --- a watch -------------------------------------------------------------------------------------
+
+
+def test_a_thruster_that_grows_weak_is_named_with_its_time(watched):
+    watch, told = watched
+    (name,) = watch.named
+    value, std, _ = name.parameters["factor"]
+    assert name.label == "thruster_gain:starboard" and SINCE < name.at < SINCE + 20.0
+    # Beginnings lie a window apart.
+    assert name.since is not None and abs(name.since - SINCE) <= 4.0
+    assert abs(value - WEAK) < 4 * std + 0.02
+    assert any("thruster_gain:starboard, since t =" in said for said in told)
+    gain = watch.extended.plant().drive.gain
+    np.testing.assert_allclose(gain, [1.0, WEAK, 1.0], atol=0.03)
+
+
+def test_nothing_is_named_of_a_boat_that_is_only_pushed():
+    size = np.array([2.0, 2.0, 0.0, 0.0, 0.0, 0.5])
+    t = np.arange(SAMPLES) * DT
+    push = RandomWrench(size, np.full(6, 3.0)).draw(t, 5)
+    blank = Log(t, np.full((SAMPLES, 18), np.nan), steps(SAMPLES, 4), None, boat().thruster_names, "x")
+    clean = np.asarray(simulate(boat(), blank, initial_state(boat()), push=push).channels)
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    noisy = clean + noise * np.random.default_rng(6).normal(size=clean.shape)
+    watch = Watch(boat(), catalogue=SMALL)
+    for row in rows_of(Log(t, noisy, blank.commands, None, blank.command_names, "x")):
+        watch.update(row)
+    status = watch.status
+    assert not status.named and not status.undecided and max(status.nats.values()) < status.bound
+    # Of the size that was drawn: the standard error of one from eight memories is a third.
+    np.testing.assert_allclose(status.size, size[[0, 1, 5]], rtol=0.6)
+    # Expected of a position that is measured to a centimetre or two.
+    np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
+
+
+def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, tmp_path):
+    rows = list(rows_of(broken))
+    first, kept = Watch(boat(), catalogue=SMALL), Kept(tmp_path / "state")
+    kept.opened(first)
+    # Beyond the first snapshot, in the middle of a line of the journal.
+    for k, row in enumerate(rows[:330]):
+        kept.add(row, [k, 0])
+        first.update(row)
+        kept.after(first, [k, 0])
+    kept.close()
+    assert (tmp_path / "state").exists()
+    with (tmp_path / "state.rows").open("ab") as file:
+        file.write(b'[1, [330, 0], {"t": 7')
+    second, kept = Watch(boat(), catalogue=SMALL), Kept(tmp_path / "state")
+    _, place_of_source = kept.opened(second)
+    kept.close()
+    assert place_of_source == [329, 0]
+    for row in rows[330:]:
+        second.update(row)
+    whole, again = watched[0].status, second.status
+    assert [(n.label, n.since, n.at) for n in again.named] == [(n.label, n.since, n.at) for n in whole.named]
+    assert again.blocks == whole.blocks
+    for label, nats in whole.nats.items():
+        assert again.nats[label] == pytest.approx(nats, rel=1e-9, abs=1e-9)
+    other = dataclasses.replace(boat(), name="another")
+    with pytest.raises(InputError, match="of another vehicle"):
+        Kept(tmp_path / "state").opened(Watch(other, catalogue=SMALL))
+
+
+def test_gaps_and_clocks_that_jump_back_are_told_and_lose_nothing(broken):
+    watch = Watch(boat(), catalogue=SMALL)
+    told = []
+    for k, row in enumerate(rows_of(broken)):
+        if 130 <= k < 160:
+            continue
+        row = row | {"t": row["t"] - 1000.0} if k >= 180 else row
+        if k < 200:
+            told += watch.update(row)
+            told += watch.update(row)  # sent twice
+    assert any("Nothing came from t = 12.9 to 16 s" in said for said in told)
+    assert any("The clock jumped back by" in said for said in told)
+    assert sum("count once" in said for said in told) == 1
+    status = watch.status
+    # All whole blocks of three stretches, of 6 rows with one more each.
+    block = watch.parts.bench.steps
+    assert status.blocks == (130 - 1) // block + (20 - 1) // block + (20 - 1) // block
+    assert not status.named and max(status.nats.values()) < 5.0
+
+
+def test_rows_that_are_not_this_craft_s_are_refused_and_bad_ones_left_out():
+    with pytest.raises(InputError, match="lacks the command bow"):
+        Watch(boat(), catalogue=SMALL).update({"t": 0.0, "x": 0.0, "port": 0.1, "starboard": 0.0})
+    with pytest.raises(InputError, match="neither commands"):
+        Watch(boat(), catalogue=SMALL).update({"t": 0.0, "x": 0.0})
+    watch = Watch(boat(), catalogue=SMALL)
+    row = {"t": 0.0, "port": 1.4, "starboard": "", "bow": float("nan"), "x": float("inf")}
+    assert "beyond 1; it counts as 1" in watch.update(row)[0]
+    assert "no time" in watch.update(row | {"t": float("nan")})[0]
+    np.testing.assert_array_equal(watch.opening[0].commands, [[1.0, 0.0, 0.0]])
+    assert np.isnan(watch.opening[0].channels).all()
+
+
+def test_memory_stays_the_same(watched):
+    watch, _ = watched
+    bench, course, ledger, _ = watch.parts
+    assert ledger.let_go >= 1 and len(course.rows) < bench.past + 3 * bench.steps
+    assert ledger.held <= 2 * _ledger.CHUNK and len(ledger.accounts) <= 2
