@@ -246,7 +246,8 @@ def test_a_vehicle_file_that_names_it_script_gives_a_page_without_that_script(tm
 NETWORK = {"socket", "ssl", "http", "urllib", "urllib3", "requests", "httpx", "aiohttp", "ftplib", "smtplib"}
 
 
-# What serves a page to this machine alone (tests/test_pool.py, tests/test_watched_sources.py), by a module of `http` that asks for nothing.
+# What serves a page to this machine alone (tests/test_pool.py, tests/test_watched_sources.py), by a module of
+# `http` that asks for nothing.
 SERVES = {"pool/_server.py", "watching/_page.py"}
 
 

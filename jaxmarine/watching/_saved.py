@@ -74,7 +74,7 @@ class Kept:
         """Writes a snapshot where the watch has let blocks go since the last one."""
         if watch.parts is None or watch.parts.ledger.let_go == max(self._generation, 0):
             return
-        save(watch, self.path, place)
+        write_state(watch, self.path, place)
         self._generation = watch.parts.ledger.let_go
         self._file.close()
         # Rows of an older generation are read no more, whether they go or a kill comes first.
@@ -94,7 +94,7 @@ def _print_of(watch: Watch) -> str:
     return found.hexdigest()
 
 
-def save(watch: Watch, path: Path, place: Place) -> None:
+def write_state(watch: Watch, path: Path, place: Place) -> None:
     """Writes all that a watch holds, whole or not at all."""
     assert watch.parts is not None
     bench, course, ledger, judge = watch.parts
@@ -132,7 +132,7 @@ def save(watch: Watch, path: Path, place: Place) -> None:
     }
     arrays["meta"] = np.frombuffer(json.dumps(meta).encode(), np.uint8)
     with written_whole(path) as beside, beside.open("wb") as file:
-        np.savez(file, **arrays)
+        np.savez(file, allow_pickle=False, **arrays)
         file.flush()
         os.fsync(file.fileno())
 
