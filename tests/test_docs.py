@@ -51,7 +51,7 @@ def test_examples_of_files_are_files(name):
 
 def test_the_readme_is_short_and_pictures_are_small():
     assert (ROOT / "README.md").stat().st_size <= MOST_BYTES
-    assert sum(path.stat().st_size for path in (ROOT / "docs").glob("*.png")) < 300_000
+    assert sum(path.stat().st_size for path in (ROOT / "docs").rglob("*.png")) < 500_000
 
 
 def test_links_of_the_repository_become_those_of_the_site():
