@@ -20,7 +20,6 @@ from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
-from jaxmarine.effects import LinearDamping
 from jaxmarine.fitting import Segments
 from jaxmarine.logs import Log
 from jaxmarine.networks import learned_wrench
@@ -68,7 +67,7 @@ class Bench(Workbench):
         data: Any = SimpleNamespace(logs=(a_log(SAMPLES),), length=float(ROWS))
         self.layout, self.data, self.samples = layout, data, SAMPLES
         self.base = tuple(
-            Coefficient(i, LinearDamping, str(i), (i, i), i, 1.0, PRIOR, "-") for i in range(BASE)
+            Coefficient(i, "damping.linear", str(i), (i, i), i, 1.0, PRIOR, "-") for i in range(BASE)
         )
         self.group_windows, self.group_log = np.arange(WINDOWS), np.zeros(WINDOWS, int)
         self.group_starts = ROWS * np.arange(float(WINDOWS))
@@ -532,6 +531,21 @@ def test_unknown_dependences_alone_are_the_answer_where_they_leave_clearly_less(
     assert (chosen is answer) == named
     assert chosen.dropped == (() if named else tuple(Dropped(str(i), UNNAMED) for i in suspects(model)))
     assert named or (chosen.unknown == rival.dependences and not chosen.changed)
+
+
+@pytest.mark.parametrize(("left", "followed"), [(3_200.0, True), (3_000.0, False)])
+def test_coefficients_that_followed_something_unknown_stand_as_filed(monkeypatch, left, followed):
+    """Unknown dependences beside the file leave 3100; with refitted coefficients `left`."""
+    rival = rival_with(3_100.0)
+    bench = rival.bench
+    answer = Answer(judged_as(bench.fit()), (dependence(),), True)
+    found = Found(bench.fit(), bench.screen(bench.fit()), (), ())
+    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (bench.fit(), True, (), ()))
+    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
+    monkeypatch.setattr(_diagnose, "left_over", lambda bench, answer: left)
+    chosen, _ = _diagnose._chosen(bench, rival, found, lambda words: None)
+    assert chosen.dense != followed and chosen.unknown == (dependence(),)
 
 
 def test_names_that_are_beaten_are_not_settled_first(monkeypatch):

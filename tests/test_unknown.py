@@ -137,6 +137,15 @@ def test_a_force_that_is_large_in_few_windows_is_blamed_on_all_harmonics_of_the_
     assert dependences(knots_with(erratic, signals, rng), 1.0) == ()
 
 
+def test_a_lift_is_blamed_on_the_speed_however_much_of_it_a_constant_would_save():
+    """What must be explained is what a constant leaves: of a force of one sign that is the smaller part."""
+    rng = np.random.default_rng(2)
+    signals = {name: drift(rng, 4.0) for name in ("z", "w", "port")}
+    signals["u"] = 1.0 + drift(rng, 8.0) ** 2
+    (found,) = dependences(knots_with(signals["u"] ** 2, signals, rng), 1.0)
+    assert found.signals == ("u",)
+
+
 def test_a_force_that_depends_on_nothing_is_not_blamed_on_a_signal():
     rng = np.random.default_rng(4)
     signals = {name: drift(rng, 4.0) for name in ("z", "u", "w", "port")}

@@ -172,8 +172,12 @@ def _chosen(
     answer = with_unknown(bench, now, dense, progress)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
-    share = WITH_UNKNOWN if answer.unknown else ALONE
-    if answer.changed and not answer.judged.white and rival.leaves_less(left_over(bench, answer), share):
+    if not answer.changed or answer.judged.white:
+        return answer, rounds
+    rest, share = left_over(bench, answer), WITH_UNKNOWN if answer.unknown else ALONE
+    # Coefficients that were refitted without what is unknown have followed it.
+    followed = bool(answer.unknown) and not answer.model.members and rival.leaves_no_more(rest)
+    if followed or rival.leaves_less(rest, share):
         answer = _without_names(bench, rival, answer.model, answer.dropped, UNNAMED)
     return answer, rounds
 

@@ -184,6 +184,10 @@ class Unnamed:
         unnamed = nats_in_place(k, self.bench.slices(members), found, now.phi) - len(found) * tried_nats(k)
         return bool(unnamed > named)
 
+    def leaves_no_more(self, rest: float) -> bool:
+        """Whether unknown dependences, and coefficients refitted with them, leave at most `rest`."""
+        return bool(self.dependences) and self.rest <= rest
+
     def leaves_less(self, rest: float, share: float) -> bool:
         """Whether it leaves less than a share of `rest`, and not by chance."""
         if not self.dependences:
