@@ -15,7 +15,7 @@ from jaxmarine import CATALOGUE
 from .conftest import ROOT
 
 PAGES = sorted(
-    [*hooks.outside(), *(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md"))]
+    [*hooks.outside(), *(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md"))]
 )
 # The README is a door: who wants more goes through it.
 MOST_BYTES = 9000
