@@ -93,7 +93,7 @@ class AbstractEffect(eqx.Module):
 
     @classmethod
     def neutral(cls, craft: Craft) -> Self:
-        """The effect where it changes nothing: each of its numbers zero, unless the effect says otherwise."""
+        """The effect where it changes nothing: each of its scalars zero, unless the effect says otherwise."""
         del craft
         return cls(*(scalar() for _ in dataclasses.fields(cls)))
 
