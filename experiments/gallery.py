@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 from PIL import Image
 
 from experiments._study import ScalarEffect, study
-from experiments.worked.bag import write_bag
+from experiments.worked.bag import bag_of
 from jaxmarine.effects import CATALOGUE, Motion
 from jaxmarine.examples import hidden
 from jaxmarine.logs import write_log
@@ -54,7 +54,7 @@ def bags_of_a_boat(folder: Path) -> None:
     """Two bags of a boat whose starboard thruster is worn astern."""
     boat = packaged("blueboat", folder)
     for log in hidden(boat, "reverse_thrust", "starboard", {"factor": 0.5}, seed=2):
-        write_bag(log, folder / log.name.replace("csv", "mcap"))
+        bag_of(log, folder / log.name.replace("csv", "mcap"))
     shutil.copy(HERE / "boat_map.toml", folder / "map.toml")
 
 

@@ -69,16 +69,16 @@ def _no_network() -> Iterator[None]:
         yield
 
 
-_REAL = {name: getattr(socket, name) for name in ("getaddrinfo", "create_connection")}
+_REAL = {name: getattr(socket, name) for name in ("getaddrinfo", "gethostbyname", "create_connection")}
 
 
 @pytest.fixture
 def loopback(monkeypatch: pytest.MonkeyPatch) -> None:
     """For what is served on this machine: 127.0.0.1 may be asked for, and nothing else."""
 
-    def only_here(function, place):
+    def only_here(function, host_of):
         def call(*arguments, **keywords):
-            host = arguments[place][0] if place else arguments[0]
+            host = host_of(arguments)
             assert host == "127.0.0.1", f"{host} was asked for"
             return function(*arguments, **keywords)
 
@@ -86,9 +86,11 @@ def loopback(monkeypatch: pytest.MonkeyPatch) -> None:
 
     # It asks by the others.
     monkeypatch.setattr(socket, "create_connection", _REAL["create_connection"])
-    monkeypatch.setattr(socket, "getaddrinfo", only_here(_REAL["getaddrinfo"], 0))
-    for name in ("connect", "bind"):
-        monkeypatch.setattr(socket.socket, name, only_here(getattr(_socket.socket, name), 1))
+    for name in ("getaddrinfo", "gethostbyname"):
+        monkeypatch.setattr(socket, name, only_here(_REAL[name], lambda arguments: arguments[0]))
+    for name in ("connect", "connect_ex", "bind", "sendto"):
+        method = only_here(getattr(_socket.socket, name), lambda arguments: arguments[-1][0])
+        monkeypatch.setattr(socket.socket, name, method)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
 """Foreign recordings of one known motion, written by the libraries of their formats."""
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +9,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.worked import bag
+from experiments.worked.bag import (
+    ENU,
+    EPOCH,
+    FLU,
+    Topics,
+    header,
+    maker,
+    ros_types,
+    vector,
+)
+from experiments.worked.bag import write_bag as write_bag
 from jaxmarine._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 
 MAPS = Path(__file__).resolve().parent.parent / "docs" / "maps"
@@ -17,11 +29,7 @@ ROV = SimpleNamespace(dof=DOFS, command_names=THRUSTERS, command_limits=np.ones(
 BOAT = SimpleNamespace(
     dof=("surge", "sway", "yaw"), command_names=("left", "right"), command_limits=np.ones(2)
 )
-EPOCH = 1_700_000_000  # [s] when the recordings begin
 LENGTH = 20.0  # [s]
-# What turns our vectors into those of ROS: east, north, up, and forward, left, up.
-ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-FLU = np.diag([1.0, -1.0, -1.0])
 
 
 def attitude(t: np.ndarray) -> Rotation:
@@ -56,75 +64,17 @@ def times(period: float, first: float = 0.0, last: float = LENGTH) -> np.ndarray
     return np.arange(first, last, period)
 
 
-def nanoseconds(t: float) -> int:
-    return EPOCH * 10**9 + round(t * 1e9)
-
-
 # --- ROS -------------------------------------------------------------------------------------
-
-Topics = Mapping[str, tuple[str, list[tuple[float, Any]]]]
-
-
-def ros_types(version: int):
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-
-
-def maker(store) -> Callable[..., Any]:
-    """Messages by the name of their type, with every field given or zero."""
-    arrays = {"float64": np.float64, "float32": np.float32}
-
-    def make(kind: str, **given: Any) -> Any:
-        fields = {}
-        for name, (nature, inner) in store.fielddefs[kind][1]:
-            if name in given:
-                fields[name] = given[name]
-            elif nature == 1:
-                fields[name] = "" if inner[0] == "string" else 0
-            elif nature == 2:
-                fields[name] = make(inner)
-            elif inner[0][0] == 1 and inner[0][1][0] in arrays:
-                fields[name] = np.zeros(inner[1], arrays[inner[0][1][0]])
-            else:
-                fields[name] = []
-        return store.types[kind](**fields)
-
-    return make
 
 
 def odometry(version: int) -> Topics:
     """20 Hz odometry, 50 Hz gyroscope, 4 Hz depth, commands every 0.7 s, in the axes of ROS; with a gap."""
     make = maker(ros_types(version))
-
-    def header(t: float) -> Any:
-        stamp = make("builtin_interfaces/msg/Time", sec=EPOCH + int(t), nanosec=round(t % 1 * 1e9))
-        return make("std_msgs/msg/Header", stamp=stamp)
-
-    def vector(kind: str, xyz: np.ndarray) -> Any:
-        return make(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", map(float, xyz), strict=True)))
-
     odom = times(0.05)
     odom = odom[(odom < 8.0) | (odom >= 10.0)]
     seen = truth(odom)
-    turns = Rotation.from_matrix(ENU @ attitude(odom).as_matrix() @ FLU).as_quat()
-    along = np.stack([seen[name] for name in VELOCITY], axis=1) @ FLU
-    messages = []
-    for t, place, turn, speed in zip(odom, position(odom) @ ENU.T, turns, along, strict=True):
-        quaternion = make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, turn), strict=True)))
-        pose = make("geometry_msgs/msg/Pose", position=vector("Point", place), orientation=quaternion)
-        twist = make("geometry_msgs/msg/Twist", linear=vector("Vector3", speed))
-        messages.append(
-            (
-                t,
-                make(
-                    "nav_msgs/msg/Odometry",
-                    header=header(t),
-                    pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose),
-                    twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist),
-                ),
-            )
-        )
+    along = np.stack([seen[name] for name in VELOCITY], axis=1)
+    messages = bag.odometry(make, odom, position(odom), attitude(odom), along)
     topics = {"/odom": ("nav_msgs/msg/Odometry", messages)}
 
     gyro = times(0.02, first=0.003)
@@ -132,7 +82,14 @@ def odometry(version: int) -> Topics:
     topics["/imu"] = (
         "sensor_msgs/msg/Imu",
         [
-            (t, make("sensor_msgs/msg/Imu", header=header(t), angular_velocity=vector("Vector3", rate)))
+            (
+                t,
+                make(
+                    "sensor_msgs/msg/Imu",
+                    header=header(make, t),
+                    angular_velocity=vector(make, "Vector3", rate),
+                ),
+            )
             for t, rate in zip(gyro, rates, strict=True)
         ],
     )
@@ -140,7 +97,14 @@ def odometry(version: int) -> Topics:
     topics["/depth"] = (
         "geometry_msgs/msg/PointStamped",
         [
-            (t, make("geometry_msgs/msg/PointStamped", header=header(t), point=vector("Point", [0, 0, z])))
+            (
+                t,
+                make(
+                    "geometry_msgs/msg/PointStamped",
+                    header=header(make, t),
+                    point=vector(make, "Point", np.array([0, 0, z])),
+                ),
+            )
             for t, z in zip(depth, position(depth)[:, 2], strict=True)
         ],
     )
@@ -149,42 +113,19 @@ def odometry(version: int) -> Topics:
     topics["/thrusters"] = (
         "sensor_msgs/msg/JointState",
         [
-            (t, make("sensor_msgs/msg/JointState", header=header(t), name=ordered, effort=row[::-1].copy()))
+            (
+                t,
+                make(
+                    "sensor_msgs/msg/JointState",
+                    header=header(make, t),
+                    name=ordered,
+                    effort=row[::-1].copy(),
+                ),
+            )
             for t, row in zip(pushed, 40.0 * commands(pushed + 1e-6), strict=True)  # [N]
         ],
     )
     return topics
-
-
-def write_bag(path: Path, topics: Topics, late: float = 0.0) -> Path:
-    """A bag of ROS 1 (.bag) or 2 (a folder: with .mcap in its name by that storage, else by sqlite).
-
-    - `late`: how long after its time a message was recorded [s].
-    """
-    import rosbags.rosbag1
-    import rosbags.rosbag2
-
-    one = path.suffix == ".bag"
-    store = ros_types(1 if one else 2)
-    if one:
-        writer = rosbags.rosbag1.Writer(path)
-        encode = store.serialize_ros1
-    else:
-        kind = (
-            rosbags.rosbag2.StoragePlugin.MCAP
-            if "mcap" in path.name
-            else rosbags.rosbag2.StoragePlugin.SQLITE3
-        )
-        writer = rosbags.rosbag2.Writer(path, version=9, storage_plugin=kind)
-        encode = store.serialize_cdr
-    with writer:
-        ends = {
-            name: writer.add_connection(name, kind, typestore=store) for name, (kind, _) in topics.items()
-        }
-        recorded = [(t, name, message) for name, (_, found) in topics.items() for t, message in found]
-        for t, name, message in sorted(recorded, key=lambda one: one[0]):
-            writer.write(ends[name], nanoseconds(t + late), encode(message, topics[name][0]))
-    return path
 
 
 # --- ArduPilot -------------------------------------------------------------------------------

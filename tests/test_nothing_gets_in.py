@@ -248,7 +248,7 @@ NETWORK = {"socket", "ssl", "http", "urllib", "urllib3", "requests", "httpx", "a
 
 # What serves a page to this machine alone (tests/test_pool.py, tests/test_watched_sources.py), by a module of
 # `http` that asks for nothing.
-SERVES = {"pool/_server.py", "watching/_page.py"}
+SERVES = {"_local.py"}
 
 
 def test_no_module_imports_what_reaches_the_network():

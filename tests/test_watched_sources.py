@@ -1,6 +1,5 @@
 """Sources of rows and the page of a watch: what comes in bit by bit, and who may read."""
 
-import _socket
 import http.client
 import io
 import json
@@ -18,37 +17,6 @@ from tests import recordings
 from tests.boats import boat
 
 CSV = b"t,x,y,psi,port,starboard,bow\n0.0,1,2,0.1,0,0,0\n0.1,1.5,2,,0.5,0,0\n"
-
-
-@pytest.fixture
-def loopback(monkeypatch):
-    """The network of this machine alone, which tests may not use otherwise."""
-
-    def only_here(name):
-        def call(self, *arguments):
-            host = arguments[-1][0]
-            assert host == "127.0.0.1", f"{host} was asked for"
-            return getattr(_socket.socket, name)(self, *arguments)
-
-        return call
-
-    for name in ("bind", "connect", "connect_ex", "sendto"):
-        monkeypatch.setattr(socket.socket, name, only_here(name))
-    monkeypatch.setattr(
-        socket,
-        "getaddrinfo",
-        lambda host, port, *_, **__: [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (host, port))],
-    )
-
-    monkeypatch.setattr(socket, "gethostbyname", lambda host: host)
-
-    def connection(address, timeout=None, *_, **__):
-        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        made.settimeout(5.0)
-        made.connect(address)
-        return made
-
-    monkeypatch.setattr(socket, "create_connection", connection)
 
 
 def test_a_csv_is_followed_while_it_grows(tmp_path):

@@ -57,5 +57,6 @@ from ._result import (
 from ._saturated import Layout as Layout
 from ._saturated import SaturatedPlant as SaturatedPlant
 from ._saturated import saturate as saturate
+from ._score import solve as solve
 from ._search import CLOSE as CLOSE
 from ._worth import gain_of as gain_of

@@ -4,8 +4,6 @@ import json
 import shlex
 import threading
 from collections.abc import Callable
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,15 +12,13 @@ import pydantic
 from .. import reports
 from .._errors import InputError
 from .._files import read_toml, validated
+from .._local import HTTPStatus, LocalHandler, address_of, opened
+from .._numbers import unit_on
 from ..vehicle_io import packaged_vehicle
-from ._faults import Fault
 from ._pool import Pool
 
-HOST = "127.0.0.1"
 # Of what a page sends [bytes]: more than all commands and sizes of a craft.
 _MOST_BYTES = 20_000
-# After so long [s] a connection that says nothing is closed.
-_IDLE = 30.0
 # Nothing but what this server hands out is loaded, run or shown in a frame.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
@@ -56,14 +52,10 @@ def serve(pool: Pool, port: int, ready: Callable[[str], None]) -> None:
     Raises `InputError` where the port is taken, and where the flight could not go on.
     """
     handler = type("Handler", (_Handler,), {"pool": pool, "pages": _pages(pool)})
-    try:
-        server = ThreadingHTTPServer((HOST, port), handler)
-    except (OSError, OverflowError) as error:
-        raise InputError(f"--port {port}: cannot be opened ({error}); choose another, or 0.") from error
-    server.daemon_threads = True
+    server = opened(port, handler)
     flying = threading.Thread(target=pool.run, args=(server.shutdown,), daemon=True)
     flying.start()
-    ready(f"http://{HOST}:{server.server_port}/")
+    ready(address_of(server))
     try:
         server.serve_forever(poll_interval=0.2)
     finally:
@@ -99,7 +91,7 @@ def _pages(pool: Pool) -> dict[str, tuple[str, bytes]]:
             said=commands_of(pool),
             faults=_groups(pool),
             levers=any(stick.lever for stick in pool.craft.sticks),
-            units=lambda fault, name: _of(fault, name),
+            unit=lambda fault, name: unit_on(fault.units()[name], fault.suspect.target),
         )
     )
     return {
@@ -117,13 +109,6 @@ def _groups(pool: Pool) -> dict[str, list]:
     for fault in pool.faults.values():
         out.setdefault(fault.suspect.effect.name, []).append(fault)
     return out
-
-
-def _of(fault: Fault, parameter: str) -> str:
-    """The unit of a parameter; of one that is for forces or moments, the one that the axis has."""
-    forces, _, moments = fault.units()[parameter].partition(" or ")
-    turns = fault.suspect.target in ("roll", "pitch", "yaw")
-    return moments if moments and turns else forces
 
 
 def _keys(pool: Pool) -> list[tuple[int, int, str, str]]:
@@ -184,34 +169,32 @@ def _most(pool: Pool, name: str, usual: dict[str, float]) -> float:
     return usual[name]
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """One connection; what is asked for wrongly is answered with one sentence, and changes nothing."""
+class _Handler(LocalHandler):
+    """Hands out the page and the state of a pool, and takes what an operator does."""
 
     pool: ClassVar[Pool]
     pages: ClassVar[dict[str, tuple[str, bytes]]]
-    protocol_version = "HTTP/1.1"
-    server_version, sys_version = "jaxmarine", ""
-    timeout = _IDLE
+    policy = _POLICY
 
     def do_GET(self) -> None:
-        if not self._at_home():
+        if not self.at_home():
             return
         if self.path == "/state":
-            self._say(HTTPStatus.OK, self.pool.view())
+            self.say(HTTPStatus.OK, self.pool.view())
         elif self.path in self.pages:
-            self._answer(HTTPStatus.OK, *self.pages[self.path])
+            self.answer(HTTPStatus.OK, *self.pages[self.path])
         else:
-            self._say(HTTPStatus.NOT_FOUND, {"error": "There is no such page; open /."})
+            self.say(HTTPStatus.NOT_FOUND, {"error": "There is no such page; open /."})
 
     def do_POST(self) -> None:
-        if not self._at_home():
+        if not self.at_home():
             return
         # A page of somebody else's may send a form here, but not this kind of content, and not unasked.
         if self.headers.get_content_type() != "application/json" or "Transfer-Encoding" in self.headers:
-            return self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Send JSON of known length.")
+            return self.refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Send JSON of known length.")
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit() and int(length[:9]) <= _MOST_BYTES and len(length) < 9):
-            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"Send at most {_MOST_BYTES} bytes.")
+            return self.refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"Send at most {_MOST_BYTES} bytes.")
         body = self.rfile.read(int(length))
         try:
             asked = json.loads(body)
@@ -221,43 +204,9 @@ class _Handler(BaseHTTPRequestHandler):
                 one = validated(_Switch, asked, "Switching")
                 self.pool.switch(one.fault, one.on, one.values)
             else:
-                return self._say(HTTPStatus.NOT_FOUND, {"error": "There is nothing to send there."})
+                return self.say(HTTPStatus.NOT_FOUND, {"error": "There is nothing to send there."})
         except InputError as error:
-            return self._say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
+            return self.say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         except (ValueError, RecursionError):
-            return self._say(HTTPStatus.BAD_REQUEST, {"error": "What was sent is not JSON."})
-        self._say(HTTPStatus.OK, self.pool.view())
-
-    def _at_home(self) -> bool:
-        """Whether it was asked for by this address, from this page: another's name may lead here as well."""
-        port = self.connection.getsockname()[1]
-        names = {f"{name}:{port}" for name in (HOST, "localhost")}
-        origin = self.headers.get("Origin")
-        if self.headers.get("Host") in names and (origin is None or origin.removeprefix("http://") in names):
-            return True
-        self._refuse(HTTPStatus.FORBIDDEN, "This page is for this machine only.")
-        return False
-
-    def _refuse(self, status: HTTPStatus, sentence: str) -> None:
-        """What was sent is left unread, so the connection ends."""
-        self.close_connection = True
-        self._say(status, {"error": sentence})
-
-    def _say(self, status: HTTPStatus, words: dict[str, Any]) -> None:
-        self._answer(status, "application/json", json.dumps(words, allow_nan=False).encode())
-
-    def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", _POLICY)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Ten requests a second are no news."""
-        del format, args
+            return self.say(HTTPStatus.BAD_REQUEST, {"error": "What was sent is not JSON."})
+        self.say(HTTPStatus.OK, self.pool.view())

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..diagnosis import solve
+
 # A direction of which known ones leave less than this share says nothing of its own.
 OWN = 1e-8
 # Precision that stands for no prior, as in a diagnosis.
@@ -63,18 +65,18 @@ class Suspicions:
     def estimate(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, " known"]:
         """The file's coefficients' changes and each member's parameters."""
         _, h, g = self._known(since, members)
-        return -solved(h, g)
+        return -solve(h, g)
 
     def covariance(self, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
         _, h, _ = self._known(since, members)
-        return solved(h, np.eye(len(h)))
+        return solve(h, np.eye(len(h)))
 
     def gained(self, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Nats by which the known parameters make all likelier than z = 0 does, the file's integrated out."""
         _, h, g = self._known(since, members)
         size = len(self.base)
         width = np.linalg.slogdet(h[:size, :size] / np.sqrt(np.outer(self.precision, self.precision)))[1]
-        return 0.5 * float(g @ solved(h, g)) - 0.5 * float(width)
+        return 0.5 * float(g @ solve(h, g)) - 0.5 * float(width)
 
     def nats(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, "suspects begun"]:
         """Of every suspect beside the known ones, for every beginning; -inf of the members.
@@ -105,7 +107,7 @@ class Suspicions:
                     out[i, b] = alone[at[i]] - price
                 else:
                     good = np.flatnonzero(tells[here]) + at[i]
-                    gain = g[good] @ solved(h[np.ix_(good, good)], g[good]) if len(good) else 0.0
+                    gain = g[good] @ solve(h[np.ix_(good, good)], g[good]) if len(good) else 0.0
                     out[i, b] = 0.5 * float(gain) - width[i] * price
         return out
 
@@ -124,11 +126,3 @@ def place(since: Sequence[Sum], t: float) -> int:
 def scale_of(h: np.ndarray) -> np.ndarray:
     root = np.sqrt(np.maximum(np.diag(h), 1e-300))
     return np.outer(root, root)
-
-
-def solved(h: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """h^-1 g of a positive semidefinite matrix whose columns are in different units."""
-    root = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    scaled = h / np.outer(root, root) + 1e-10 * np.eye(len(h))
-    rest = (g.T / root).T
-    return (np.linalg.solve(scaled, rest).T / root).T

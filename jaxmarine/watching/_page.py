@@ -3,14 +3,14 @@
 import json
 import threading
 from collections import deque
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
 from .._extras import of_extra
+from .._local import HTTPStatus, LocalHandler, address_of, opened
+from .._numbers import unit_on
 from ..physics import to_euler
 from ._status import Status, moment_of, sentence_of
 from ._watch import Watch
@@ -21,14 +21,10 @@ with of_extra("report", "The page of a watch"):
 # Suspects whose nats are drawn, and moments that are drawn of a watch: of two neighbours one goes where there
 # are more.
 SHOWN, MOMENTS = 6, 400
-_HOST = "127.0.0.1"
-_SAFE = {
-    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Cache-Control": "no-store",
-    "Referrer-Policy": "no-referrer",
-}
+_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 
 
 class History:
@@ -48,9 +44,8 @@ class History:
             self.moments = deque(kept)
 
 
-def told_of(watch: Watch, history: History, source: str) -> dict:
-    """What the page shows, as plain numbers and words."""
-    status = watch.status
+def told_of(watch: Watch, status: Status, history: History, source: str) -> dict:
+    """What the page shows of a watch at its `status`, as plain numbers and words."""
     state = {}
     if status.state is not None:
         angles = np.degrees(np.asarray(to_euler(jnp.asarray(status.state.attitude))))
@@ -63,7 +58,7 @@ def told_of(watch: Watch, history: History, source: str) -> dict:
         }
     wrench = [] if status.state is None else status.state.wrench.tolist()
     disturbance = [
-        {"axis": axis, "now": w, "size": s, "memory": m, "unit": "N" if axis in FORCES else "N m"}
+        {"axis": axis, "now": w, "size": s, "memory": m, "unit": unit_on("N or N m", axis)}
         for axis, w, s, m in zip(status.axes, wrench, status.size, status.memory, strict=False)
     ]
     return {
@@ -89,9 +84,6 @@ def told_of(watch: Watch, history: History, source: str) -> dict:
     }
 
 
-FORCES = ("surge", "sway", "heave")
-
-
 class Page:
     """Serves the page of a watch on 127.0.0.1; `shown` hands it what is new."""
 
@@ -105,43 +97,32 @@ class Page:
         def state() -> bytes:
             return self._state
 
-        class Handler(BaseHTTPRequestHandler):
+        class Handler(LocalHandler):
+            policy = _POLICY
+
             def do_GET(self):
-                # Another site may not read it through a name of its own that leads here.
-                host = self.headers.get("Host", "").rpartition(":")[0]
-                found = {"/": (page, "text/html"), "/state.json": (state(), "application/json")}
-                content, kind = found.get(self.path, (b"", ""))
-                code = 403 if host not in (_HOST, "localhost") else 200 if kind else 404
-                self.send_response(code)
-                for name, value in _SAFE.items():
-                    self.send_header(name, value)
-                content = content if code == 200 else b""
-                self.send_header("Content-Type", f"{kind or 'text/plain'}; charset=utf-8")
-                self.send_header("Content-Length", str(len(content)))
-                self.end_headers()
-                self.wfile.write(content)
+                if not self.at_home():
+                    return
+                if self.path == "/":
+                    self.answer(HTTPStatus.OK, "text/html", page)
+                elif self.path == "/state.json":
+                    self.answer(HTTPStatus.OK, "application/json", state())
+                else:
+                    self.say(HTTPStatus.NOT_FOUND, {"error": "There is no such page; open /."})
 
-            def log_message(self, format, *args):
-                del format, args
-
-        try:
-            self._server = ThreadingHTTPServer((_HOST, port), Handler)
-        except OSError as error:
-            raise InputError(
-                f"Port {port} cannot be served ({str(error.strerror).lower()}); choose another --port, 0 for "
-                "any."
-            ) from error
-        self._server.daemon_threads = True
+        self._server = opened(port, Handler)
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     @property
     def address(self) -> str:
-        return f"http://{_HOST}:{self._server.server_address[1]}/"
+        return address_of(self._server)
 
     def shown(self, watch: Watch) -> None:
         """Takes over where the watch stands."""
-        self.history.add(watch.status)
-        self._state = json.dumps(told_of(watch, self.history, self.source), allow_nan=False).encode()
+        status = watch.status
+        self.history.add(status)
+        told = told_of(watch, status, self.history, self.source)
+        self._state = json.dumps(told, allow_nan=False).encode()
 
     def close(self) -> None:
         self._server.shutdown()
