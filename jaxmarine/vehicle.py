@@ -200,6 +200,11 @@ class Vehicle(eqx.Module):
         return np.array([float(dof in self.dof) for dof in DOFS])
 
     @property
+    def axes(self) -> tuple[int, ...]:
+        """The degrees of freedom that can move, as indices."""
+        return tuple(np.flatnonzero(self.free).tolist())
+
+    @property
     def command_names(self) -> tuple[str, ...]:
         """The command columns of a log: the thrusters, other actuators and, last, the sliding mass."""
         return self.drive_names if self.slider is None else (*self.drive_names, self.slider.name)
@@ -342,6 +347,10 @@ class Plant(eqx.Module):
     @property
     def has_memory(self) -> bool:
         return any(isinstance(e, FluidMemory) for e in self.wrenches)
+
+    def memory_gain(self) -> Float[Array, "memories 6"]:
+        """Damping that comes late, of each fluid memory and axis [N s/m, N m s]."""
+        return jnp.stack([e.gain for e in self.wrenches if isinstance(e, FluidMemory)])
 
     def memory_lag(self) -> Float[Array, "6"]:
         """Time constant of the fluid memory of each axis [s]."""

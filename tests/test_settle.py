@@ -14,7 +14,7 @@ from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots
-from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Workbench
+from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Sample, Workbench
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file
@@ -112,6 +112,9 @@ class Bench(Workbench):
 
     def start(self):
         return Model((), np.zeros(BASE), jnp.zeros((1, 12)), np.inf)
+
+    def sampled(self, model):
+        return Sample(self, model, 1)
 
     def sound(self, model):
         return not self.unsound & {m.suspect for m in model.members}

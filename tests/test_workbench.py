@@ -20,7 +20,7 @@ from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
-from jaxmarine.diagnosis._search import _joined, search
+from jaxmarine.diagnosis._search import _joined, _trials, search
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import (
@@ -32,6 +32,7 @@ from jaxmarine.effects import (
     ReverseThrust,
     Saturation,
     ThrusterGain,
+    place,
 )
 from jaxmarine.fitting import predict
 from jaxmarine.fitting._kinematics import kinematics
@@ -39,6 +40,7 @@ from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Damping, Placed, Thrusters
+from jaxmarine.vehicle_io import suspect_named
 from tests.boats import NOISE, boat, record, steps
 
 NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
@@ -198,6 +200,29 @@ def test_windows_screened_in_groups_say_the_same_together(monkeypatch):
         assert np.allclose(two.g[now], one.g[part].sum(0), atol=1e-9 * size)
         assert np.allclose(two.h[now], one.h[part].sum(0), atol=1e-9 * size)
     assert few.group_starts.tolist() == each.data.starts[starts].tolist()
+
+
+def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypatch):
+    """Every third window of a log in which a thruster is weak: its factor, and three times what it saves."""
+    weak = Placed(place(suspect_named(boat(), "thruster_gain", "port"), boat(), {"factor": 0.7}), "port")
+    log = record(boat().place(weak), steps())
+    bench = workbench(boat(), (log,), (ThrusterGain, LinearDamping, QuadraticDamping, AddedMass), None)
+    which = next(i for i, one in enumerate(bench.layout.suspects) if one.label == "thruster_gain:port")
+    model = bench.refine(bench.start())
+    starts = [(Member(which), None)]
+    (whole,) = _trials(bench, model, starts)
+    monkeypatch.setattr(_model, "SAMPLE", bench.count // 3)
+    fresh = bench.reweighed(bench.noise)
+    sample = fresh.sampled(model)
+    np.testing.assert_array_equal(sample.bench.data.starts, bench.data.starts[::3])
+    (some,) = _trials(fresh, model, starts)
+    assert whole.model.z[-1] == pytest.approx(0.7 - 1.0, abs=0.01)
+    # Noise of a third of the samples; which third is driven hardest is chance.
+    assert some.model.z[-1] == pytest.approx(whole.model.z[-1], abs=0.02)
+    assert some.saved == pytest.approx(whole.saved, rel=0.3)
+    assert some.model.weight == model.weight and some.model.delta is model.delta
+    # The linear approximation to the cost where the sample left off is that of all windows.
+    assert bench.refine(some.model).cost == pytest.approx(bench.refine(whole.model).cost, abs=0.01)
 
 
 def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():

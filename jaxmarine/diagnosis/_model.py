@@ -5,7 +5,7 @@ import functools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -72,6 +72,9 @@ SEGMENTS = 4
 # Groups that windows are screened in at most: each window of logs of up to 40 min, some in a row of longer
 # ones, as each group takes up half a megabyte.
 GROUPS = 600
+# Of many windows suspects are refitted on every second, third or fourth first: on no fewer than a log of
+# 300 s has, and no sparser, as a cause may show in few.
+SAMPLE, SPARSEST = 75, 4
 # Damping with which a refinement begins, at most: as the one before ended, which knows how far a step holds.
 MOST_DAMPING = 0.1
 # A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
@@ -160,6 +163,29 @@ class Model:
     beside: Beside | None = None
 
 
+class Sample(NamedTuple):
+    """One of so many windows, and a model refined on these.
+
+    What a model saves in a sample it is taken to save in as many more windows as there are.
+    """
+
+    bench: "Workbench"
+    model: Model
+    every: int
+
+    def saved(self, cost: float) -> float:
+        """Chi-square that is saved on all windows, by the cost on these."""
+        return 2 * self.every * (self.model.cost - cost)
+
+    def whole(self, model: Model, one: Model) -> Model:
+        """A model on all windows, from one that was refined on these; `model`: what was sampled."""
+        if self.every == 1:
+            return one
+        cost, promised = (model.cost - 0.5 * self.saved(x) for x in (one.cost, one.promised))
+        same = {"delta": model.delta, "weight": model.weight}
+        return dataclasses.replace(one, cost=cost, promised=promised, **same)
+
+
 class Workbench:
     """The saturated problem with its compiled programs; everything the search asks of the windows.
 
@@ -209,6 +235,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), max(1, steps // (2 * parts)))
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
+        self._sampled: tuple[Model, Model] | None = None
         self._known = set[tuple[str, bool | None]]()  # programs that are compiled, by kinds of models
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
@@ -223,7 +250,19 @@ class Workbench:
             measured_channels(windows),
             jnp.asarray(split),
             apart=False,
+            axes=vehicle.axes,
         )
+
+    @functools.cached_property
+    def _sample(self) -> tuple["Workbench", slice]:
+        """The same with some windows out of many, and which."""
+        which = slice(None, None, max(1, min(SPARSEST, self.count // SAMPLE)))
+        if which.step == 1:
+            return self, which
+        windows = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[which]), self.data.windows)
+        data = dataclasses.replace(self.data, windows=windows, starts=self.data.starts[which])
+        noises = self.noise, self.split, self.own_noise
+        return Workbench(self.vehicle, self.families, self.layout, data, *noises, self.filed), which
 
     @functools.cached_property
     def fine(self) -> Fine:
@@ -535,6 +574,19 @@ class Workbench:
         unlearned = UNLEARNED * np.eye(3 * len(self.fine.unit) + 2)
         out = self.likeliest(dataclasses.replace(model, beside=Beside(swell, beside.path, unlearned)))
         return out if out.cost < model.cost else model
+
+    def sampled(self, model: Model) -> "Sample":
+        """Some windows out of many, and the model refined on these; all where there are not many."""
+        few, which = self._sample
+        if few is self or model.beside is not None:
+            return Sample(self, model, 1)
+        if self._sampled is None or self._sampled[0] is not model:
+            delta = np.zeros((few.room.windows, 12))
+            delta[: few.count] = np.asarray(model.delta)[: self.count][which]
+            weight = model.weight / which.step
+            here = dataclasses.replace(model, delta=jnp.asarray(delta), weight=weight, cost=np.inf)
+            self._sampled = model, few.refine(here)
+        return Sample(few, self._sampled[1], which.step)
 
     def fitted(self, model: Model) -> Model:
         """The model refined; raises `InputError` where the vehicle runs away along the logs."""

@@ -161,7 +161,7 @@ def shortlist(
 
 def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np.ndarray]]:
     """Suspects without a useful slope at neutral, at the start from which they promise most."""
-    out = []
+    out, sample = [], bench.sampled(model)
     for i in bench.open(model):
         suspect = bench.layout.suspects[i]
         if not (suspect.starts or suspect.effect.swings):
@@ -174,8 +174,9 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
                 out.append((Member(i), np.array([start[n] for n in names]) - neutral))
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
-        promised = bench.promised([bench.with_member(model, Member(i), value) for value in values])
-        if 2 * (model.cost - min(promised)) > WORTHWHILE * best:
+        begun = [bench.with_member(sample.model, Member(i), value) for value in values]
+        promised = sample.bench.promised(begun)
+        if sample.saved(min(promised)) > WORTHWHILE * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
     return out
 
@@ -203,7 +204,19 @@ def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | 
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
-    """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win."""
+    """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win.
+
+    Where there are many windows, on some of them: all of them judge the best, before it is taken.
+    """
+    sample = bench.sampled(model)
+    fitted = [sample.whole(model, t.model) for t in _refitted(sample.bench, sample.model, starts)]
+    trials = [trial_of(model, one.members[-1], one) for one in fitted]
+    return [t for t in trials if bench.sound(t.model)]
+
+
+def _refitted(
+    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
+) -> list[Trial]:
     begun = [_joined(bench, model, member, value) for member, value in starts]
     refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
@@ -231,7 +244,7 @@ def _trials(
         fitted[i] = min(fitted[i], other, key=lambda m: (not bench.sound(m), m.cost))
     for i, one in fitted.items():
         trials[i] = trial_of(model, trials[i].member, one)
-    return [t for t in trials if bench.sound(t.model)]
+    return trials
 
 
 def penalty(bench: Workbench, member: Member) -> float:

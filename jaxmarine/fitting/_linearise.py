@@ -8,9 +8,9 @@ The sensitivities follow a recursion instead of running every tangent through th
     S <- A S + B,    A = exp(dt F),    B = dt phi1(dt F) G
 
 with F = d(rates)/d(state) and G = d(rates)/d(z), both at the middle of the step. All parameters of
-the dynamics enter through the six components of the inverse dynamics, so six reverse passes give F
-and G for any number of parameters; the recursion itself is one product of small matrices. The
-midpoint exponential is exact for a linear system and has an error of the order of dt² times the
+the dynamics enter through the components of the inverse dynamics, so one reverse pass for each axis
+that moves gives F and G for any number of parameters; the recursion itself is one product of small
+matrices. The midpoint exponential is exact for a linear system and has an error of the order of dt² times the
 change of F within a step (tested against forward-mode differentiation of the roll-out), far below
 the curvature that Gauss-Newton leaves out. For 110 parameters it is many times faster than tangents
 through the solver.
@@ -92,7 +92,7 @@ class Columns(eqx.Module):
         narrow = jnp.where(several[others], whole[:, others], 0.0)
         return cls(whole, first, entry, others, narrow, several.sum() > FEW)
 
-    def __call__(self, by: Float[Array, "points 6 parameters"]) -> Float[Array, "points 6 z"]:
+    def __call__(self, by: Float[Array, "points rows parameters"]) -> Float[Array, "points rows z"]:
         """`by @ whole`."""
 
         def picked():
@@ -356,15 +356,16 @@ def swept(
 
 
 @eqx.filter_jit
-def _balances(plant_of: PlantOf, plants: Plant, theta, x, drive: Input, lagged, segment):
-    """nu', the derivatives of the balance, and the inverse mass at some points.
+def _balances(plant_of: PlantOf, axes: tuple[int, ...], plants: Plant, theta, x, drive, lagged, segment):
+    """At some points nu', the derivatives of the balance on some axes, the inverse mass' columns for these.
 
     Compiled as part of the caller; by itself it is traced once for all programs that linearise.
     """
+    free = np.array(axes)
 
     def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
         drive = eqx.tree_at(lambda d: d.thrust, drive, pushed)
-        return plant_of(theta, segment).balance(_unflat(x, lagged), nu_dot, drive)
+        return plant_of(theta, segment).balance(_unflat(x, lagged), nu_dot, drive)[free]
 
     def one(x, drive, lagged, segment):
         plant = of_segment(plants, segment)
@@ -373,17 +374,19 @@ def _balances(plant_of: PlantOf, plants: Plant, theta, x, drive: Input, lagged, 
         slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
             x, nu_dot, drive.thrust, theta[first], lagged, first, drive
         )
-        return nu_dot, slopes, plant.mobility(drive)
+        return nu_dot, slopes, plant.mobility(drive)[:, free]
 
     return jax.vmap(one)(x, drive, lagged, segment)
 
 
 @eqx.filter_jit
-def _readings(plants: Plant, chain: _Chain, x, nu_dot, segment):
-    """What the sensors show at some points, and its derivatives by x, nu' and the sensors' constants.
+def _readings(plants: Plant, channels: tuple[int, ...], chain: _Chain, x, nu_dot, segment):
+    """What the sensors show at some points, and the derivatives of some channels by x, nu' and the sensors'
+    constants.
 
-    Traced once, as `_balances` is.
+    In reverse, since there are fewer channels than constants. Traced once, as `_balances` is.
     """
+    rows = np.array(channels, int)
 
     def shown(x, nu_dot, sensors, segment):
         plant = of_segment(plants, segment)
@@ -393,10 +396,17 @@ def _readings(plants: Plant, chain: _Chain, x, nu_dot, segment):
 
     def one(x, nu_dot, segment):
         sensors = of_segment(chain, segment).sensors
-        slopes = jax.jacfwd(shown, argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
+        slopes = jax.jacrev(lambda *at: shown(*at)[rows], argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
         return shown(x, nu_dot, sensors, segment), slopes
 
     return jax.vmap(one)(x, nu_dot, segment)
+
+
+def _remembers(plants: Plant, slope: Callable[..., Array]) -> Bool[Array, ""] | bool:
+    """Whether some fluid memory pushes, or some z would make it push. Mostly none does."""
+    if not plants.has_memory:
+        return False
+    return (plants.memory_gain() != 0).any() | (slope(lambda plant: plant.memory_gain()) != 0).any()
 
 
 def _each(problem: Problem, affine: Affine, knots: int):
@@ -425,7 +435,7 @@ def _each(problem: Problem, affine: Affine, knots: int):
     push = thrust_of(problem, plants.drive, late)
     driven = ThrustSlopes.of(problem, plants.drive, drive_slopes, late, push.before)
     columns = Columns.of(affine.columns)
-    lagged, d_lagged = fluid_memory(problem, plants)
+    lagged, d_lagged = fluid_memory(problem, plants, _remembers(plants, slope))
     rows = np.array(problem.channels, int)
 
     def by_thrusters(by_thrust, windows, begun):
@@ -439,16 +449,19 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     def tangents(windows, begun, x, drive, lagged, segment, d_lagged):
         """nu', d(nu')/dx and d(nu')/dz at points of a window: at every step, or twice at every step."""
-        nu_dot, slopes, inverse = _balances(problem.plant_of, plants, theta, x, drive, lagged, segment)
+        nu_dot, slopes, inverse = _balances(
+            problem.plant_of, problem.axes, plants, theta, x, drive, lagged, segment
+        )
         by_x, by_thrust, by_theta, by_lagged = slopes
         by_z = columns(by_theta) * acts[segment][:, None, :] + by_thrusters(by_thrust, windows, begun)
         if lagged.shape[-1]:
             by_z = by_z + by_lagged @ d_lagged
         nu_z = -inverse @ by_z
         if knots:
-            inverse = jnp.broadcast_to(inverse, (len(x), 6, 6))
+            # A wrench on an axis that cannot move moves nothing.
+            every = jnp.zeros((len(x), 6, 6)).at[:, :, np.array(problem.axes)].set(inverse)
             here = jnp.tile(part, (len(x) // steps, 1))
-            pushed = inverse[:, :, None, :] * here[:, None, :, None]
+            pushed = every[:, :, None, :] * here[:, None, :, None]
             nu_z = jnp.concatenate([nu_z, pushed.reshape(len(x), 6, 6 * knots)], axis=-1)
         return nu_dot, -inverse @ by_x, nu_z
 
@@ -466,8 +479,8 @@ def _each(problem: Problem, affine: Affine, knots: int):
 
     def sensed(x, segment, nu_dot, nu_x, nu_z):
         """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
-        value, (by_x, by_nu_dot, by_sensors) = _readings(plants, chain, x, nu_dot, segment)
-        by_x, by_nu_dot, by_sensors = by_x[:, rows], by_nu_dot[:, rows], by_sensors[:, rows]
+        value, slopes = _readings(plants, problem.channels, chain, x, nu_dot, segment)
+        by_x, by_nu_dot, by_sensors = slopes
         by_z = by_nu_dot @ nu_z
         by_z = by_z.at[:, :, :given].add(_contract(by_sensors, chain_slopes.sensors, segment))
         return value, by_x + by_nu_dot @ nu_x, by_z

@@ -5,13 +5,14 @@ that it begins in. A prediction simulates the fluid memory with the rest of the 
 follows the memory that the logged motion drives.
 """
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
@@ -44,6 +45,7 @@ class Problem(eqx.Module):
     - `channels`: those that are measured in any window (`measured_channels`); the others have no rows.
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
     - `apart`: whether the information of each window is kept, as the scatter of a fit asks for, or their sum.
+    - `axes`: those that can move.
     """
 
     plant_of: PlantOf
@@ -53,6 +55,7 @@ class Problem(eqx.Module):
     channels: tuple[int, ...] = eqx.field(static=True)
     split: int | Int[Array, ""] = 1
     apart: bool = eqx.field(static=True, default=True)
+    axes: tuple[int, ...] = eqx.field(static=True, default=tuple(range(6)))
 
     @property
     def accelerations(self) -> bool:
@@ -138,10 +141,11 @@ def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Arra
     return jnp.concatenate([_inverse(slope[:3, :3]) @ (rest[:3] - slope[:3, 3:] @ rates), rates])
 
 
-def fluid_memory(problem: Problem, plants: Plant):
+def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool = True):
     """Fluid memory of the logged motion and its slope per lag, each [logs, steps, 6], or 0 columns.
 
-    The smoothed log drives it, without the errors that the plants' sensors have put into its velocity.
+    The smoothed log drives it, without the errors that the plants' sensors have put into its velocity. Zeros
+    where it is not `asked` for, as it pushes nothing and nobody wants its slopes.
     """
     records = problem.records
     if not plants.has_memory:
@@ -153,20 +157,11 @@ def fluid_memory(problem: Problem, plants: Plant):
         plant = of_segment(plants, segment)
         return plant.relative(attitude, _true_velocity(plant, attitude, logged))
 
-    # Taken as measured: what a change of the current does to the past of a window is left out.
-    logged = jax.tree.map(
-        lambda a: in_parts(a.reshape(-1, *a.shape[2:]), BLOCK),
-        (records.attitude, records.velocity, records.segment),
-    )
-    relative = jax.lax.map(lambda block: jax.vmap(through_water)(*block), logged)
-    relative = joined(relative, records.t.size).reshape(*records.t.shape, 6)
-    relative = jax.lax.stop_gradient(relative)
-
     def then(first, second):
         """Two affine maps after one another."""
         return second[0] * first[0], second[0] * first[1] + second[1]
 
-    def filtered(lags):
+    def filtered(relative, lags):
         def one(dt, velocity, segment):
             kept = jnp.exp(-dt[:-1, None] / lags[segment[:-1]])
             between = 0.5 * (velocity[:-1] + velocity[1:])
@@ -176,7 +171,19 @@ def fluid_memory(problem: Problem, plants: Plant):
 
         return jax.vmap(one)(records.dt, relative, records.segment)
 
-    return jax.jvp(filtered, (lags,), (jnp.ones_like(lags),))
+    def driven():
+        # Taken as measured: what a change of the current does to the past of a window is left out.
+        logged = jax.tree.map(
+            lambda a: in_parts(a.reshape(-1, *a.shape[2:]), BLOCK),
+            (records.attitude, records.velocity, records.segment),
+        )
+        relative = jax.lax.map(lambda block: jax.vmap(through_water)(*block), logged)
+        relative = joined(relative, records.t.size).reshape(*records.t.shape, 6)
+        of_lags = functools.partial(filtered, jax.lax.stop_gradient(relative))
+        return jax.jvp(of_lags, (lags,), (jnp.ones_like(lags),))
+
+    nothing = jnp.zeros((*records.t.shape, 6))
+    return jax.lax.cond(asked, driven, lambda: (nothing, nothing))
 
 
 class Track(eqx.Module):

@@ -179,6 +179,7 @@ def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: 
         jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free)),
         measured_channels(data.windows),
         jnp.asarray(split),
+        axes=vehicle.axes,
     )
     return Task(
         problem,

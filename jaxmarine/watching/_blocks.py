@@ -237,6 +237,7 @@ class Bench:
             self.channels,
             jnp.asarray(split),
             apart=False,
+            axes=self.vehicle.axes,
         )
         size = self.layout.size
         affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
