@@ -1,6 +1,7 @@
 """What all tests share: double precision, strict shapes and fixed seeds."""
 
 import _socket
+import gc
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,9 @@ from xdist.scheduler import LoadScopeScheduling
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Tracing leaves many small objects: searched for cycles by default, they take a twentieth of a run.
+gc.set_threshold(20_000)
 
 # Derandomised, so that a run is repeatable; without deadline, because the first example compiles.
 hypothesis.settings.register_profile("jaxmarine", derandomize=True, deadline=None)
