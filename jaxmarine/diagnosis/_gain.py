@@ -34,9 +34,9 @@ HORIZON, RUN_IN, OF_STARTS = 5.0, 2.0, 2.0
 LEAST = HORIZON + RUN_IN + OF_STARTS  # [s] of a log on which a gain is measured
 STARTS = 60  # predictions at most
 MOST_STRETCHES = 10
-# Windows of the training whose program also serves the starts, mostly filled up; beside more of them it is
-# quicker to compile another one, which the starts in training and test log share.
-MOST_FILLED = 640
+# Windows of the training whose program also serves the starts, mostly filled up; beside more of them, and
+# beside several logs, it is quicker to compile another one with room for all starts, which all logs share.
+MOST_FILLED, ROOM = 640, STARTS + 10
 RUNAWAY = 1e6  # standard deviations of the noise at which a prediction counts as having run away
 # Share of a sensor's noise by which an error must have grown, root mean square, to be told: where a model was
 # as good as the sensor this makes it larger by an eighth, as much as the estimate of a noise may be off.
@@ -125,8 +125,8 @@ def predictions(
     own = Room.of(data.records, data.windows)
     if not room.holds(own):
         room = own
-    elif room.windows > MOST_FILLED:
-        room = dataclasses.replace(room, windows=own.windows)
+    elif room.windows > MOST_FILLED or room.logs > 1:
+        room = dataclasses.replace(room, logs=1, windows=max(own.windows, ROOM))
     records, windows = room.filled(data.records, data.windows)
     channels = measured_channels(data.windows)
     begin = round(run_in / length * windows.step.shape[1])
