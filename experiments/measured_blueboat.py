@@ -38,7 +38,7 @@ QUICK = (226, 233)
 FREED = ("added_mass", "damping", "thrust", "reverse_thrust")
 # What a boat commonly has beside that: lift of its hull in turns, a dead zone of its motor controllers, and
 # thrust that is not linear in the command.
-OF_BOATS = ("turning_lift", "deadband", "curve")
+OF_BOATS = ("turning_lift", "hull_lift", "deadband", "curve")
 # Once the effects are named, the shape of the thrust as well.
 FREED_AGAIN = (*FREED, "curve")
 PRIOR = "0.5"
@@ -136,20 +136,38 @@ def figure(models: dict[str, jm.Vehicle], logs: Sequence[jm.Log], path: Path) ->
 # --- what is written -----------------------------------------------------------------------------
 
 
+def told(report: Path) -> dict[str, Any]:
+    """Verdict and findings of a report: of each parameter its value and standard error."""
+    whole = json.loads((report / "diagnosis.json").read_text())
+    return {
+        "verdict": whole["verdict"],
+        "findings": {
+            one["effect"] + (f":{one['target']}" if one["target"] else ""): {
+                name: [p["value"], p["std"]] for name, p in one["parameters"].items()
+            }
+            for one in whole["findings"]
+        },
+    }
+
+
 def markdown(results: dict[str, Any]) -> str:
     """The tables of errors and findings."""
     rows = {**results["rms"], **{name: list(values) for name, values in TRIAL.items()}}
     lines = [f"Errors over {HORIZON:g} s on {results['scored_on']}.", ""]
     lines += ["| model | u m/s | v m/s | r rad/s |", "|---|---|---|---|"]
     lines += [f"| {name} | " + " | ".join(f"{x:.3f}" for x in row) + " |" for name, row in rows.items()]
-    if "diagnosis" in results:
-        lines += ["", f"Verdict: {results['diagnosis']['verdict']}", "", "| found | |", "|---|---|"]
-        for finding in results["diagnosis"]["findings"]:
-            name = finding["effect"] + (f":{finding['target']}" if finding["target"] else "")
-            values = ", ".join(
-                f"{k} = {p['value']:.3g} ± {p['std']:.1g}" for k, p in finding["parameters"].items()
-            )
-            lines.append(f"| {name} | {values} |")
+    for which in ("diagnosis", "diagnosis of the fit with effects"):
+        if which in results:
+            lines += [
+                "",
+                f"{which.capitalize()}: {results[which]['verdict']}",
+                "",
+                "| found | |",
+                "|---|---|",
+            ]
+            for name, parameters in results[which]["findings"].items():
+                values = ", ".join(f"{k} = {value:.3g} ± {std:.1g}" for k, (value, std) in parameters.items())
+                lines.append(f"| {name} | {values} |")
     lines += ["", "| command | seconds |", "|---|---|"]
     lines += [f"| {name} | {seconds:.0f} |" for name, seconds in results["seconds"].items()]
     return "\n".join(lines) + "\n"
@@ -181,10 +199,14 @@ def main(
         models[f"jaxmarine fit, also {', '.join(OF_BOATS)}"] = jm.load_vehicle(whole)
         results: dict[str, Any] = {"check_as_named": said.splitlines(), "check": checked.splitlines()}
         if not quick:
-            _, seconds["diagnose"] = command(
-                *("diagnose", "--vehicle", fitted, *columns, *repeated("--train", train)),
-                *(*repeated("--test", test), "--out", out / "report"),
-            )
+            for name, of, report in (
+                ("diagnose", fitted, out / "report"),
+                ("diagnose with effects", whole, out / "report_of_a_boat"),
+            ):
+                _, seconds[name] = command(
+                    *("diagnose", "--vehicle", of, *columns, *repeated("--train", train)),
+                    *(*repeated("--test", test), "--out", report),
+                )
             again = out / "fitted_again.toml"
             _, seconds["fit again"] = command(
                 *("fit", "--vehicle", extended, *columns, *repeated("--train", train)),
@@ -192,7 +214,11 @@ def main(
             )
             models["jaxmarine diagnose"] = jm.load_vehicle(extended)
             models["diagnosed and fitted again"] = jm.load_vehicle(again)
-            results["diagnosis"] = json.loads((out / "report" / "diagnosis.json").read_text())
+            models["jaxmarine diagnose, of the fit with effects"] = jm.load_vehicle(
+                out / "report_of_a_boat" / "extended.toml"
+            )
+            results["diagnosis"] = told(out / "report")
+            results["diagnosis of the fit with effects"] = told(out / "report_of_a_boat")
         logs = [jm.read_log(path, models["guessed file"], COLUMNS) for path in test]
         results |= {
             "scored_on": ", ".join(path.stem for path in test),

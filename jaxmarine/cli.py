@@ -421,7 +421,7 @@ _FREE = {
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
 _OF_ACTUATORS = ("propeller", "surface", "cross_flow", "wind")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
-_ALL = ("coupling", "thrust", *_OF_ACTUATORS)
+_ALL = ("coupling", *_OF_THRUSTERS, *_OF_ACTUATORS)
 # Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.
 _OF_HULLS = ("hull_lift", "turning_lift")
 _ALL_PRIOR = 0.3
