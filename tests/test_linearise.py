@@ -103,6 +103,7 @@ def case(name: str, segments: int, logs: int) -> Case:
         data.windows,
         jnp.asarray(start_precision(vehicle.free)),
         measured_channels(data.windows),
+        axes=vehicle.axes,
     )
     # Each parameter acts in some segments and not in others.
     acts = (rng.random((segments, len(neutral))) < 0.7) | (np.arange(segments)[:, None] == 0)
@@ -232,6 +233,31 @@ def test_long_logs_are_linearised_in_parts(monkeypatch):
     assert np.allclose(chi2, by_window[0], rtol=1e-9)
     assert (np.abs(g - by_window[1]) <= 1e-8 * np.sqrt(whole.chi2.max()) * scale + 1e-300).all()
     assert (np.abs(h[0] - by_window[2].sum(0)) <= 1e-8 * np.outer(scale, scale) + 1e-300).all()
+
+
+def test_a_memory_that_pushes_nothing_and_is_not_asked_for_is_left_out(monkeypatch):
+    """Beside other causes nothing is lost by it; a slope of it needs its motion."""
+    this = case(*THREE_AXES)
+    gains = np.array([i for i, name in enumerate(this.names) if name.startswith("fluid_memory.gain")])
+    delta = jnp.zeros((this.problem.windows.count, 12))
+    still = dataclasses.replace(this.affine, theta=this.affine.theta.at[:, gains].set(0.0))
+    unasked = dataclasses.replace(still, columns=still.columns.at[gains].set(0.0))
+
+    @eqx.filter_jit
+    def plain(affine):
+        return linearise(this.problem, affine, delta).h_zz
+
+    @eqx.filter_jit
+    def told(affine, remembers):
+        with monkeypatch.context() as patch:
+            patch.setattr(_linearise, "_remembers", lambda *_: remembers)
+            return linearise(this.problem, affine, delta).h_zz
+
+    for affine, needed in ((still, True), (unasked, False)):
+        found = [told(affine, jnp.array(answer)) for answer in (True, False)]
+        # Rounding of sums that are as large as the largest entry.
+        near = [np.allclose(one, plain(affine), rtol=0, atol=1e-9 * np.abs(one).max()) for one in found]
+        assert near == [True, not needed]
 
 
 def test_elimination_is_that_of_the_whole_problem():
