@@ -22,6 +22,7 @@ from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import _joined, _trials, search
 from jaxmarine.diagnosis._signals import Places
+from jaxmarine.diagnosis._unnamed import _going_on
 from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import (
     CATALOGUE,
@@ -223,6 +224,14 @@ def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypat
     assert some.model.weight == model.weight and some.model.delta is model.delta
     # The linear approximation to the cost where the sample left off is that of all windows.
     assert bench.refine(some.model).cost == pytest.approx(bench.refine(whole.model).cost, abs=0.01)
+
+
+def test_a_log_that_goes_on_moves_as_it_did_before():
+    log, start = record(boat(), steps(200)), initial_state(boat())
+    longer = _going_on(log, 333)
+    assert len(longer.t) == 333 and np.allclose(np.diff(longer.t), log.dt)
+    moved = [np.asarray(simulate(boat(), one, start).states.velocity) for one in (log, longer)]
+    np.testing.assert_array_equal(moved[1][:200], moved[0])
 
 
 def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():

@@ -3,11 +3,12 @@
 import dataclasses
 import functools
 
+import jax
 import numpy as np
 
 from .._progress import LOOKING, Progress
 from .._types import RATE, VELOCITY
-from ..logs import smooth_states
+from ..logs import Log, smooth_states
 from ..simulation import initial_state, simulate
 from ..vehicle import Vehicle
 from ._answer import extended_by, wrong_by
@@ -105,14 +106,16 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
     places = bench.places
     out = np.zeros((*places.t.shape, 6))
     logs = bench.data.logs
+    longest = max(len(log.t) for log in logs)
     for i, log in enumerate(logs):
         track = smooth_states(log, vehicle.dof)
         start = initial_state(vehicle, track.position[0], track.attitude[0], track.nu[0])
         later = {other.name for other in logs[i + 1 :]}
         begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
-        run = simulate(dataclasses.replace(vehicle, placed=begun), log, start)
+        # All as long as the longest, or each would compile a program of its own.
+        run = simulate(dataclasses.replace(vehicle, placed=begun), _going_on(log, longest), start)
         here = places.log == i
-        nu = np.asarray(run.states.velocity)
+        nu = np.asarray(run.states.velocity)[: len(log.t)]
         for axis in range(6):
             out[here, :, axis] = np.interp(places.t[here], log.t, nu[:, axis])
     names = (*VELOCITY, *RATE)
@@ -120,6 +123,14 @@ def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
         return None
     over_ground = {name: out[..., i] for i, name in enumerate(names)}
     return places.through_water(np.asarray(vehicle.plant().water), over_ground)
+
+
+def _going_on(log: Log, samples: int) -> Log:
+    """A log that goes on as its last sample was, until it has so many."""
+    more = samples - len(log.t)
+    longer = jax.tree.map(lambda a: np.pad(a, [(0, more)] + [(0, 0)] * (a.ndim - 1), mode="edge"), log)
+    after = log.t[-1] + log.dt * np.arange(1, more + 1)
+    return dataclasses.replace(longer, t=np.concatenate([log.t, after]))
 
 
 class Unnamed:
