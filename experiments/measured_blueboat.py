@@ -128,8 +128,9 @@ def figure(models: dict[str, jm.Vehicle], logs: Sequence[jm.Log], path: Path) ->
                 axes[row, column].plot(t, model[:, row], color=f"C{number}", lw=1.0, label=label)
         axes[0, column].set_title(log.name.removesuffix(".csv"), fontsize=9)
         axes[-1, column].set_xlabel("time from the log's start (s)")
-    axes[0, 0].legend(fontsize=8)
-    plot.tight_layout()
+    # Above the panels, which it would hide.
+    plot.legend(*axes[0, 0].get_legend_handles_labels(), loc="upper center", ncol=4, fontsize=8)
+    plot.tight_layout(rect=(0.0, 0.0, 1.0, 0.93))
     save_figure(plot, path)
 
 

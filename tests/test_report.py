@@ -850,6 +850,19 @@ def test_what_is_far_from_the_noise_is_no_clean_answer():
     assert _words.explanation(contradicted).endswith("r contradict what positions show.")
 
 
+def test_a_page_does_not_call_noise_what_the_model_misses():
+    missed = diagnosis(missed=True, white=False, verdict="nothing_found", findings=(), recalibrated=())
+    text, far = (
+        Reader(_page.page(missed)).text,
+        "the vehicle file misses the sensors by far more than their noise",
+    )
+    assert f"No cause was found, but {far}." in text
+    assert f"{far}: the notes say by how much" in text
+    assert "1 is what a sensor counts by" in text and "no more than the sensor noise" not in text
+    partly = diagnosis(missed=True, white=False)
+    assert "the extended vehicle misses the sensors by far more" in _words.explanation(partly)
+
+
 def test_a_gain_without_an_interval_says_why():
     gain = dataclasses.replace(diagnosis().gain, ratio_ci95=None)
     assert "too short a log for an interval" in _words.gain_words(diagnosis(gain=gain))

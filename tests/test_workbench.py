@@ -13,6 +13,7 @@ from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
 from jaxmarine._progress import silent
 from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
+from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots, wave_start
@@ -61,6 +62,14 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     assert found.z[-1] == pytest.approx(-0.5, abs=0.05)
     sharper = sharpened(raised, found)
     assert sharper is not None and not sharper.raised
+    # What is left of the channels that move is noise, and with half a thruster too much far more.
+    free = np.tile(craft.free, 2) > 0
+    found = sharper.refine(found)
+    assert np.allclose(sharper.left(found)[:12][free], 1.0, atol=0.2)
+    assert (raised.left(raised.fitted(begun))[:12][free] > 3.0).any()
+    assert _missed(sharper, found) is None
+    told = _missed(raised, raised.fitted(begun))
+    assert told is not None and "the model misses" in told and "rather than of the sensors" in told
     true = np.repeat([NOISE[name] for name in ("position", "attitude", "velocity", "rate")], 3)
     # Of 90 s, and of residuals that the fitted starts make some per cent smaller.
     assert np.allclose((sharper.noise[:12] / true)[np.tile(craft.free, 2) > 0], 1.0, atol=0.2)

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from .._precision import need_double
 from .._progress import AGAIN, LEARNING, PREDICTING, SETTLING, Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
-from ..fitting import disagreement
+from ..fitting import disagreement, tell_missed
 from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
@@ -87,6 +87,7 @@ def diagnose(
     if not now.white:
         axes = {one.target for one in unexplained}
         unexplained += excesses(missing, (vehicle, extended), logs, now.plain_phi, axes, bench.quiet)
+    missed = _missed(bench, now.model)
     disturbance = None if model.beside is None else known(model.beside.force)
     verdicts: dict[tuple[bool, bool], Verdict] = {
         (False, False): "nothing_found",
@@ -119,11 +120,20 @@ def diagnose(
         contradicted=apart,
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
         dropped=_left_out((*lost, *answer.dropped), findings),
+        missed=missed is not None,
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
     said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
-    notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *said)
+    notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *([missed] if missed else []), *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
+
+
+def _missed(bench: Workbench, model: Model) -> str | None:
+    """What the model misses, where sensors were taken for no better than that."""
+    if not bench.raised:
+        return None
+    names = [log.name for log in bench.data.logs]
+    return tell_missed(bench.vehicle, names, bench.left(model), bench.own_noise, bench.data.length)
 
 
 def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[Dropped, ...]:

@@ -632,12 +632,21 @@ class Workbench:
 
         That of the sensors where it is no more; see `fitting._weights`.
         """
+        most = self.largest_noise() / self.own_noise
+        own = self._own_weight
+        return overdispersion(self._errors(model), own, np.nan_to_num(most, nan=1.0)) * self.own_noise
+
+    def left(self, model: Model) -> Float[np.ndarray, "18"]:
+        """Root mean square error that the model leaves in each channel, in units of its sensor's noise."""
+        count = (self._own_weight > 0).sum(axis=(0, 1))
+        return np.sqrt((self._errors(model) ** 2).sum(axis=(0, 1)) / np.maximum(count, 1))
+
+    def _errors(self, model: Model) -> Float[np.ndarray, "windows steps 18"]:
+        """Prediction minus measured in units of the sensors' own noise, 0 where nothing was measured."""
         model = self.undisturbed(model)
         channels = predict(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)[0]
-        windows, own = self.data.windows, self._own_weight
-        error = np.asarray(wrapped(np.asarray(channels)[: self.count] - np.asarray(windows.measured)))
-        most = self.largest_noise() / self.own_noise
-        return overdispersion(error * own, own, np.nan_to_num(most, nan=1.0)) * self.own_noise
+        error = np.asarray(channels)[: self.count] - np.asarray(self.data.windows.measured)
+        return np.asarray(wrapped(error)) * self._own_weight
 
     def as_connected(self) -> "Workbench":
         """The same with the columns as the vehicle file has them."""

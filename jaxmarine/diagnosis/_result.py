@@ -325,6 +325,7 @@ class Diagnosis:
     - `notes`: sentences for the reader (what was ignored, estimated, or could not be done).
     - `rejected`: stretches of the logs that were left out, with the reason.
     - `dropped`: what was found on the way and does not stand in the answer.
+    - `missed`: whether sensors of unstated noise, missed by far more than that, count by what is missed.
     - `clocks`: what the clock of each log shows at its start [s] (`Log.clock`).
     """
 
@@ -353,6 +354,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     dropped: tuple[Dropped, ...] = ()
+    missed: bool = False
     clocks: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property

@@ -80,6 +80,7 @@ from ._linearise import (
     screening as screening,
 )
 from ._noise import noise_of as noise_of
+from ._noise import tell_missed as tell_missed
 from ._review import reviewed as reviewed
 from ._rollout import (
     Problem as Problem,

@@ -10,13 +10,13 @@ from jaxtyping import Float, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
-from .._types import CHANNEL_UNITS, CHANNELS, DOFS
+from .._types import DOFS
 from ..logs import Log, merged
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
-from ._noise import median_noise, noises_of
+from ._noise import median_noise, noises_of, tell_missed
 from ._one_step import fit_one_step
 from ._review import reviewed
 from ._shares import AbstractShares, fit_shares
@@ -29,8 +29,6 @@ _WITHIN_NOISE = 0.05
 _OTHER_CRAFT = 10.0
 # Standard errors by which it must be so for sure: one of 400 draws of noise is farther off.
 _SURE = 3.0
-# A channel that is missed by so many times its noise is told: the noise itself is known to a factor of three.
-_FAR = 3.0
 # Lines of undetermined combinations that a printed fit shows.
 _SHOWN = 6
 
@@ -197,6 +195,7 @@ def fit(
     estimate = _judged(estimate, freed, z_units, found)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")
+    missed = tell_missed(vehicle, names, estimate.left, noise, window) if weigh and estimate.finite else None
     return Fit(
         vehicle=freed(jnp.asarray(estimate.raw)),
         start=vehicle,
@@ -212,7 +211,7 @@ def fit(
         left=estimate.left * noise,
         weighed=estimate.weighed * noise,
         rejected=estimate.rejected,
-        notes=merged((*notes, *(_missed(vehicle, names, estimate, noise, window) if weigh else ()))),
+        notes=merged((*notes, missed) if missed else notes),
     )
 
 
@@ -256,26 +255,6 @@ def _senseless(freed: Freed, found: Uncertainty) -> str:
         if ratio + off < 1 / _OTHER_CRAFT or ratio - off > _OTHER_CRAFT:
             return f"the inertia in {dof} is {ratio:.2g} times that of the start"
     return ""
-
-
-def _missed(
-    vehicle: Vehicle, logs: Sequence[str], estimate: Estimate, noise: np.ndarray, window: float
-) -> list[str]:
-    """A note on channels that the model misses by far more than their sensors' noise."""
-    far = np.flatnonzero(np.nan_to_num(estimate.left) > _FAR)
-    if not far.size or not estimate.finite:
-        return []
-    stated = np.isfinite(vehicle.stated_noise)
-    errors = ", ".join(
-        f"{CHANNELS[i]} by {estimate.left[i] * noise[i]:.2g} {CHANNEL_UNITS[CHANNELS[i]]} "
-        f"({'stated' if stated[i] else 'jitter'} {noise[i]:.2g})"
-        for i in far
-    )
-    names = logs[0] if len(logs) == 1 else f"{len(logs)} logs"
-    return [
-        f"{names}: over windows of {window:g} s the model misses {errors}; channels were weighed by what is "
-        "missed, which is an error of the model rather than of the sensors."
-    ]
 
 
 def _table(parameters: tuple[Parameter, ...]) -> list[str]:

@@ -6,8 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
+from .._types import CHANNEL_UNITS, CHANNELS
 from ..logs import Log, sensor_noise
 from ..vehicle import Vehicle
+
+# A channel that is missed by so many times its noise is told: the noise itself is known to a factor of three.
+_FAR = 3.0
 
 
 def noise_of(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, "18"]:
@@ -32,3 +36,30 @@ def median_noise(noises: Float[np.ndarray, "logs 18"], logs: Sequence[str]) -> F
         names = ", ".join(logs)
         raise InputError(f"{names}: no measured channel ever changes; use a log in which the vehicle moves.")
     return out
+
+
+def tell_missed(
+    vehicle: Vehicle,
+    logs: Sequence[str],
+    left: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, "18"],
+    window: float,
+) -> str | None:
+    """A sentence on channels that the model misses by far more than their sensors' noise, if there are any.
+
+    - `left`: root mean square error of the model over windows of this length [s], in units of `noise`.
+    """
+    far = np.flatnonzero(np.nan_to_num(left) > _FAR)
+    if not far.size:
+        return None
+    stated = np.isfinite(vehicle.stated_noise)
+    errors = ", ".join(
+        f"{CHANNELS[i]} by {left[i] * noise[i]:.2g} {CHANNEL_UNITS[CHANNELS[i]]} "
+        f"({'stated' if stated[i] else 'jitter'} {noise[i]:.2g})"
+        for i in far
+    )
+    names = logs[0] if len(logs) == 1 else f"{len(logs)} logs"
+    return (
+        f"{names}: over windows of {window:g} s the model misses {errors}; channels were weighed by what is "
+        "missed, which is an error of the model rather than of the sensors."
+    )

@@ -89,6 +89,7 @@ def page(diagnosis: Diagnosis) -> str:
             d=diagnosis,
             verdict=words.verdict(diagnosis),
             explanation=words.explanation(diagnosis),
+            yardstick=words.yardstick(diagnosis),
             facts=_facts(diagnosis),
             cards=[_card(finding, diagnosis) for finding in diagnosis.findings],
             checked=_checked(diagnosis),
@@ -161,7 +162,7 @@ def _facts(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         (
             "Chi-square per sample",
             " → ".join(number(misfits[name], 2) for name in shown),
-            f"{' → '.join(shown)}; 1 is sensor noise" if len(shown) > 1 else "1 is sensor noise",
+            (f"{' → '.join(shown)}; " if len(shown) > 1 else "") + f"1 is {words.yardstick(diagnosis)}",
         ),
         (
             "Prediction error left",

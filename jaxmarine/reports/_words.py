@@ -126,6 +126,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == "nothing_found" and diagnosis.dropped:
         return "No cause is named: what was found at first did not hold."
+    if diagnosis.verdict == "nothing_found" and diagnosis.missed:
+        return "No cause was found, but the vehicle file misses the sensors by far more than their noise."
     if diagnosis.verdict == "nothing_found":
         return "Nothing is wrong that these logs could show: the vehicle file explains them."
     if diagnosis.verdict == "unexplained":
@@ -154,11 +156,23 @@ def _without_errors(finding: Finding) -> Finding:
 def explanation(diagnosis: Diagnosis) -> str:
     """Below the verdict: how well the logs are explained now, and what is left."""
     before, after = _times_noise(diagnosis.misfit_before), _times_noise(diagnosis.misfit_after)
-    text = f"Over {count(len(diagnosis.train), 'training log')}, the vehicle file is off by {before}"
-    if diagnosis.verdict != "nothing_found" or diagnosis.recalibrated:
+    over = f"Over {count(len(diagnosis.train), 'training log')}"
+    extended = diagnosis.verdict != "nothing_found" or bool(diagnosis.recalibrated)
+    text = f"{over}, the vehicle file is off by {before}"
+    if extended:
         text += f", the extended vehicle by {after}"
+    if diagnosis.missed:
+        text = (
+            f"{over}, the {'extended vehicle' if extended else 'vehicle file'} misses the sensors by far "
+            "more than their noise: the notes say by how much. They count by what is missed"
+        )
     contradicted = f" {diagnosis.contradicted}" if diagnosis.contradicted else ""
     return f"{text}. {remainder(diagnosis)}{contradicted}"
+
+
+def yardstick(diagnosis: Diagnosis) -> str:
+    """What errors are measured by."""
+    return "what a sensor counts by" if diagnosis.missed else "sensor noise"
 
 
 def _times_noise(misfit: float) -> str:
