@@ -204,7 +204,7 @@ def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | 
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
-    """Refitted suspects whose numbers mean something: a few steps for all, more for those that may win.
+    """Refitted suspects whose numbers mean something.
 
     Where there are many windows, on some of them: all of them judge the best, before it is taken.
     """
@@ -217,6 +217,7 @@ def _trials(
 def _refitted(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
+    """A few steps for all suspects, more for those that may win."""
     begun = [_joined(bench, model, member, value) for member, value in starts]
     refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
