@@ -857,8 +857,8 @@ def test_a_page_does_not_call_noise_what_the_model_misses():
         "the vehicle file misses the sensors by far more than their noise",
     )
     assert f"No cause was found, but {far}." in text
-    assert f"{far}: the notes say by how much" in text
-    assert "1 is what a sensor counts by" in text and "no more than the sensor noise" not in text
+    assert f"{far}; the notes say by how much" in text
+    assert "1 is what sensors are weighed by" in text and "no more than the sensor noise" not in text
     partly = diagnosis(missed=True, white=False)
     assert "the extended vehicle misses the sensors by far more" in _words.explanation(partly)
 

@@ -164,7 +164,7 @@ def explanation(diagnosis: Diagnosis) -> str:
     if diagnosis.missed:
         text = (
             f"{over}, the {'extended vehicle' if extended else 'vehicle file'} misses the sensors by far "
-            "more than their noise: the notes say by how much. They count by what is missed"
+            "more than their noise; the notes say by how much, and sensors are weighed by it"
         )
     contradicted = f" {diagnosis.contradicted}" if diagnosis.contradicted else ""
     return f"{text}. {remainder(diagnosis)}{contradicted}"
@@ -172,7 +172,7 @@ def explanation(diagnosis: Diagnosis) -> str:
 
 def yardstick(diagnosis: Diagnosis) -> str:
     """What errors are measured by."""
-    return "what a sensor counts by" if diagnosis.missed else "sensor noise"
+    return "what sensors are weighed by" if diagnosis.missed else "sensor noise"
 
 
 def _times_noise(misfit: float) -> str:
