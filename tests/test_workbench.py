@@ -231,7 +231,7 @@ def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypat
     assert some.model.z[-1] == pytest.approx(whole.model.z[-1], abs=0.02)
     assert some.saved == pytest.approx(whole.saved, rel=0.3)
     assert some.model.weight == model.weight and some.model.delta is model.delta
-    # The linear approximation to the cost where the sample left off is that of all windows.
+    # From where either left off all windows end at the same cost.
     assert bench.refine(some.model).cost == pytest.approx(bench.refine(whole.model).cost, abs=0.01)
 
 

@@ -138,7 +138,8 @@ def predictions(
     def shown(one: Candidate) -> np.ndarray:
         plant = SaturatedPlant(one.vehicle, one.families, jnp.asarray(one.gates))
         theta = jnp.asarray(one.theta)
-        problem = Problem(plant, records, windows, precision, channels, split, False, one.vehicle.axes)
+        parts = plant, records, windows, precision, channels, split
+        problem = Problem(*parts, apart=False, axes=one.vehicle.axes)
         # No parameter is free here, only the states at the starts.
         task = Task(
             dataclasses.replace(problem, windows=seen),

@@ -58,7 +58,7 @@ def excesses(
     most = np.max([*map(full_thrust, vehicles), *given], axis=0)
     missing = dataclasses.replace(missing, std=quiet * missing.std)
     found = []
-    for axis in np.flatnonzero(vehicles[0].free).tolist():
+    for axis in vehicles[0].axes:
         kind = slice(0, 3) if axis < 3 else slice(3, 6)
         strongest = kind.start + int(np.argmax(most[kind]))
         # A towed body has no thrust to compare with.

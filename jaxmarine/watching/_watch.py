@@ -138,7 +138,7 @@ class Watch:
     def status(self) -> Status:
         """Where it stands now."""
         if self.parts is None or not self.parts.ledger.blocks:
-            names = tuple(DOFS[i] for i in np.flatnonzero(self.vehicle.free))
+            names = tuple(DOFS[i] for i in self.vehicle.axes)
             return Status(-np.inf, 0, None, names, (), (), {}, np.inf, (), (), ())
         bench, course, ledger, judge = self.parts
         force = ledger.accounts[0].force
