@@ -103,7 +103,10 @@ def test_what_a_hull_alike_on_both_sides_couples():
     assert widths["added_mass[pitch,heave]"] == pytest.approx(0.3 * np.sqrt(32.18 * 0.365))
 
 
-@pytest.mark.parametrize("channels", ["x y psi", "u v r", "x y r", "psi u v", "u r"])
+@pytest.mark.parametrize(
+    "channels",
+    ["x y psi", "u r", *(pytest.param(one, marks=pytest.mark.slow) for one in ("u v r", "x y r", "psi u v"))],
+)
 def test_any_subset_of_the_channels_will_do(channels):
     """Positions alone, velocities alone, no attitude rates, no heading: what is there is compared."""
     log = record(boat(), steps())
