@@ -193,12 +193,11 @@ def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np
 
 def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6) -> State:
     """A state from position [m], roll, pitch, yaw [rad] and body velocities [m/s, rad/s]."""
-    memory = 6 if vehicle.plant().has_memory else 0
     return State(
         position=jnp.asarray(position, float),
         attitude=from_euler(jnp.asarray(attitude, float)),
         velocity=jnp.asarray(velocity, float),
-        memory=jnp.zeros(memory),
+        memory=jnp.zeros(6 * len(vehicle.plant().memories)),
     )
 
 

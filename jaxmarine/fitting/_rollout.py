@@ -142,7 +142,7 @@ def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Arra
 
 
 def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool = True):
-    """Fluid memory of the logged motion and its slope per lag, each [logs, steps, 6], or 0 columns.
+    """Fluid memory of the logged motion and its slope per lag, each [logs, steps, memory] as `State.memory`.
 
     The smoothed log drives it, without the errors that the plants' sensors have put into its velocity. Zeros
     where it is not `asked` for, as it pushes nothing and nobody wants its slopes.
@@ -179,10 +179,10 @@ def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool 
         )
         relative = jax.lax.map(lambda block: jax.vmap(through_water)(*block), logged)
         relative = joined(relative, records.t.size).reshape(*records.t.shape, 6)
-        of_lags = functools.partial(filtered, jax.lax.stop_gradient(relative))
+        of_lags = functools.partial(filtered, plants.for_each_memory(jax.lax.stop_gradient(relative)))
         return jax.jvp(of_lags, (lags,), (jnp.ones_like(lags),))
 
-    nothing = jnp.zeros((*records.t.shape, 6))
+    nothing = jnp.zeros((*records.t.shape, lags.shape[1]))
     return jax.lax.cond(asked, driven, lambda: (nothing, nothing))
 
 
