@@ -18,6 +18,7 @@ from jaxmarine.fitting import (
     Problem,
     _linearise,
     _rollout,
+    _rows,
     _thrust_slopes,
     cut,
     linearise,
@@ -26,7 +27,7 @@ from jaxmarine.fitting import (
     screening,
     start_precision,
 )
-from jaxmarine.fitting._linearise import FEW, Columns
+from jaxmarine.fitting._affine import FEW, Columns
 from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
 from jaxmarine.vehicle import Input, Placed, Plant, State, Vehicle
@@ -250,7 +251,7 @@ def test_a_memory_that_pushes_nothing_and_is_not_asked_for_is_left_out(monkeypat
     @eqx.filter_jit
     def told(affine, remembers):
         with monkeypatch.context() as patch:
-            patch.setattr(_linearise, "_remembers", lambda *_: remembers)
+            patch.setattr(_rows, "_remembers", lambda *_: remembers)
             return linearise(this.problem, affine, delta).h_zz
 
     for affine, needed in ((still, True), (unasked, False)):

@@ -14,8 +14,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from .._compiled import compiled
+from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise
-from ._linearise import Affine, Statistics, linearise
+from ._linearise import Statistics, linearise
 from ._rollout import Problem
 
 # Damping of the initial states, as a share of that of the parameters.

@@ -12,9 +12,10 @@ from .._types import CHANNELS
 from ..logs import Log
 from ..simulation import gates, substeps
 from ..vehicle import Vehicle
+from ._affine import Affine
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Affine, Statistics
+from ._linearise import Statistics
 from ._rollout import Problem, measured_channels, predict, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._weights import largest, overdispersion, scaled, settled
