@@ -15,9 +15,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ._types import DOFS, SENSORS, Matrix3, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from ._types import (
+    ALL_SENSORS,
+    ALWAYS,
+    DOFS,
+    TABLE,
+    Matrix3,
+    Matrix6,
+    Moving,
+    Quaternion,
+    Times,
+    Vector3,
+    Velocity,
+    Wrench,
+    width_of,
+)
 from .actuators import AbstractActuators, Flow, Supply, joined
 from .effects import (
     CATALOGUE,
@@ -176,7 +190,7 @@ class Vehicle(eqx.Module):
     name: str = eqx.field(static=True)
     dof: tuple[str, ...] = eqx.field(static=True)
     thruster_names: tuple[str, ...] = eqx.field(static=True)
-    # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
+    # Stated standard deviations of the sensors by kind (keys of `_types.ALL_SENSORS`), as pairs.
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     # How far sections of the file may be off, as shares of their values (keys of its table `[prior]`).
     prior: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
@@ -222,10 +236,18 @@ class Vehicle(eqx.Module):
         return limits if self.slider is None else np.append(limits, 1.0)
 
     @property
-    def stated_noise(self) -> Float[np.ndarray, "18"]:
-        """Standard deviation that the file states for each channel, NaN where it states none."""
+    def stated_noise(self) -> Float[np.ndarray, " channels"]:
+        """Standard deviation that the file states for each channel that a log of it has, NaN for none."""
         stated = dict(self.sensors)
-        return np.array([stated.get(kind, np.nan) for kind, channels in SENSORS.items() for _ in channels])
+        noise = np.array(
+            [stated.get(kind, np.nan) for kind, channels in ALL_SENSORS.items() for _ in channels]
+        )
+        return noise[: width_of(np.isfinite(noise))]
+
+    def states_noise(self, width: int) -> Bool[np.ndarray, " channels"]:
+        """Whether the file states the noise of each of the first so many channels."""
+        stated = dict(self.sensors)
+        return np.array([kind in stated for kind, channels in ALL_SENSORS.items() for _ in channels])[:width]
 
     @property
     def mass_matrix(self) -> Matrix6:
@@ -491,13 +513,21 @@ class Plant(eqx.Module):
             memory=memory,
         )
 
-    def readings(self, state: State, nu_dot: Velocity) -> Float[Array, "18"]:
-        """What sensors in time show, in the order of `_types.CHANNELS`."""
+    def readings(self, state: State, nu_dot: Velocity, width: int = ALWAYS) -> Float[Array, " channels"]:
+        """What sensors in time show, in the order of `ALL_CHANNELS`, of which these are the first `width`.
+
+        Effects of sensors touch the channels that they name; kinds with an equation in `TABLE` show what is.
+        """
         shown = Readings(state.position, to_euler(state.attitude), state.velocity, nu_dot)
         turn = rotation(state.attitude)
         for effect in self.sensors:
             shown = effect(shown, turn)
-        return jnp.concatenate([shown.position, shown.attitude, shown.nu, shown.nu_dot])
+        channels = [shown.position, shown.attitude, shown.nu, shown.nu_dot]
+        if width > ALWAYS:
+            nu_r = self.relative(state.attitude, state.velocity)
+            seen = Moving(turn, state.velocity, nu_r, nu_dot, self.load.gravity)
+            channels += [one.shows(seen) for one in TABLE[: width // 3] if one.shows]
+        return jnp.concatenate(channels)
 
 
 def reach(plant: Plant) -> Float[np.ndarray, "6"]:

@@ -13,6 +13,7 @@ the curvature that Gauss-Newton leaves out. For 110 parameters it is many times 
 through the solver.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._types import ALWAYS
 from ..physics import KIND, Earlier, Slide, Thrust, apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
 from ._affine import Affine, Columns
@@ -100,17 +102,33 @@ def _exponential(f: Array, split) -> tuple[Array, Array]:
 
 
 class _Chain(eqx.Module):
-    """The few plant constants that enter outside the balance, flat."""
+    """The few plant constants that enter outside the balance, flat; `shown`: those of the readings."""
 
-    sensors: Array
+    shown: Array
     lag: Array
     delay: Array
 
 
-def _chain(plant: Plant) -> _Chain:
-    sensors, _ = jax.flatten_util.ravel_pytree(plant.sensors)
+def _seen_by(plant: Plant, width: int):
+    """Constants on which readings of so many channels hang, beside state and acceleration."""
+    more = (plant.current, plant.load.gravity) if width > ALWAYS else ()
+    return plant.sensors, *more
+
+
+def _seeing(plant: Plant, constants, width: int) -> Plant:
+    """The plant with other constants of the readings."""
+    sensors, *more = constants
+    plant = dataclasses.replace(plant, sensors=sensors)
+    if width == ALWAYS:
+        return plant
+    current, gravity = more
+    return dataclasses.replace(plant, current=current, load=dataclasses.replace(plant.load, gravity=gravity))
+
+
+def _chain(plant: Plant, width: int) -> _Chain:
+    shown, _ = jax.flatten_util.ravel_pytree(_seen_by(plant, width))
     lag = plant.memory_lag() if plant.has_memory else jnp.zeros(0)
-    return _Chain(sensors, lag, jnp.zeros(0) if plant.delay is None else plant.delay)
+    return _Chain(shown, lag, jnp.zeros(0) if plant.delay is None else plant.delay)
 
 
 @eqx.filter_jit
@@ -138,24 +156,26 @@ def _balances(plant_of: PlantOf, axes: tuple[int, ...], plants: Plant, theta, x,
 
 
 @eqx.filter_jit
-def _readings(plants: Plant, channels: tuple[int, ...], chain: _Chain, x, nu_dot, segment):
-    """What the sensors show at some points, and the derivatives of some channels by x, nu' and the sensors'
-    constants.
+def _readings(plants: Plant, channels: tuple[int, ...], width: int, chain: _Chain, x, nu_dot, segment):
+    """What the sensors show at some points, and the derivatives of some channels by x, nu' and the constants
+    of the readings.
+
+    - `width`: how many channels are shown.
 
     In reverse, since there are fewer channels than constants. Traced once, as `_balances` is.
     """
     rows = np.array(channels, int)
 
-    def shown(x, nu_dot, sensors, segment):
+    def shown(x, nu_dot, constants, segment):
         plant = of_segment(plants, segment)
-        _, unravel = jax.flatten_util.ravel_pytree(plant.sensors)
-        plant = eqx.tree_at(lambda p: p.sensors, plant, unravel(sensors))
-        return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot)
+        _, unravel = jax.flatten_util.ravel_pytree(_seen_by(plant, width))
+        plant = _seeing(plant, unravel(constants), width)
+        return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot, width)
 
     def one(x, nu_dot, segment):
-        sensors = of_segment(chain, segment).sensors
-        slopes = jax.jacrev(lambda *at: shown(*at)[rows], argnums=(0, 1, 2))(x, nu_dot, sensors, segment)
-        return shown(x, nu_dot, sensors, segment), slopes
+        constants = of_segment(chain, segment).shown
+        slopes = jax.jacrev(lambda *at: shown(*at)[rows], argnums=(0, 1, 2))(x, nu_dot, constants, segment)
+        return shown(x, nu_dot, constants, segment), slopes
 
     return jax.vmap(one)(x, nu_dot, segment)
 
@@ -227,7 +247,7 @@ class Sweep(eqx.Module):
     def of(cls, problem: Problem, affine: Affine, knots: int) -> "Sweep":
         theta, segments = affine.theta, jnp.arange(affine.theta.shape[0])
         plants = jax.vmap(problem.plant_of)(theta, segments)
-        chain = jax.vmap(_chain)(plants)
+        chain = jax.vmap(lambda plant: _chain(plant, problem.width))(plants)
 
         def slope(of):
             """Derivatives of a plant's constants with respect to z, stacked along segments."""
@@ -237,7 +257,7 @@ class Sweep(eqx.Module):
             )
 
         drive_slopes = slope(lambda plant: plant.drive)
-        chain_slopes = slope(_chain)
+        chain_slopes = slope(lambda plant: _chain(plant, problem.width))
         late, slides = late_of(problem, plants.drive), slides_of(problem, plants)
         push = thrust_of(problem, plants.drive, late)
         driven = ThrustSlopes.of(problem, plants.drive, drive_slopes, late, push.before)
@@ -336,6 +356,7 @@ class Sweep(eqx.Module):
         else:
             d_lagged = d_slow
         held = track.over
+        assert held.middle is not None
         over = Input(held.thrust, held.command, held.wrench, held.middle, slide=held.slide)
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
         return _Points(middle, over, between, track.segment, d_lagged)
@@ -404,10 +425,13 @@ class Sweep(eqx.Module):
 
     def _sensed(self, x: Array, segment: Array, seen: _Slopes) -> tuple[Array, Array, Array]:
         """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
-        value, slopes = _readings(self.plants, self.problem.channels, self.chain, x, seen.nu_dot, segment)
-        by_x, by_nu_dot, by_sensors = slopes
+        problem = self.problem
+        value, slopes = _readings(
+            self.plants, problem.channels, problem.width, self.chain, x, seen.nu_dot, segment
+        )
+        by_x, by_nu_dot, by_constants = slopes
         by_z = by_nu_dot @ seen.by_z
-        by_z = by_z.at[:, :, : self.given].add(_contract(by_sensors, self.chain_slopes.sensors, segment))
+        by_z = by_z.at[:, :, : self.given].add(_contract(by_constants, self.chain_slopes.shown, segment))
         return value, by_x + by_nu_dot @ seen.by_x, by_z
 
     def _earlier(
@@ -417,7 +441,7 @@ class Sweep(eqx.Module):
         delay = self.plants.delay
         if delay is None:
             return value, jacobian
-        when = Earlier(t, delay[segment])
+        when = Earlier(t, delay[segment], self.problem.width)
         shown, slopes = when.shown(value)
         # Mostly none is; the predicate is the same for all windows of a batch.
         jacobian = jax.lax.cond(jnp.any(delay != 0.0), lambda: when.rows(jacobian, rows), lambda: jacobian)

@@ -35,7 +35,7 @@ class Task(eqx.Module):
     affine: Affine
     precision: Float[Array, " z"]
 
-    def weighed(self, weight: Float[Array | np.ndarray, "windows steps 18"]) -> "Task":
+    def weighed(self, weight: Float[Array | np.ndarray, "windows steps channels"]) -> "Task":
         """The task with other weights of what was measured."""
         return eqx.tree_at(lambda t: t.problem.windows.weight, self, jnp.asarray(weight))
 

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._errors import InputError
-from ..logs import Log, StateTrack, quaternions_of, smooth_states
+from .._types import AXES
+from ..logs import Log, StateTrack, alike, quaternions_of, smooth_states
 from ..vehicle import Vehicle
 
 
@@ -40,8 +41,8 @@ class Windows(eqx.Module):
 
     log: Int[Array, " windows"]
     step: Int[Array, "windows steps"]
-    measured: Float[Array, "windows steps 18"]
-    weight: Float[Array, "windows steps 18"]
+    measured: Float[Array, "windows steps channels"]
+    weight: Float[Array, "windows steps channels"]
     position: Float[Array, "windows 3"]
     attitude: Float[Array, "windows 4"]
     velocity: Float[Array, "windows 6"]
@@ -128,7 +129,7 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
 def cut(
     vehicle: Vehicle,
     logs: Sequence[Log],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
     length: float,
     stride: float | None = None,
     segments: Sequence[np.ndarray] | None = None,
@@ -139,10 +140,12 @@ def cut(
     The first begins where the thrusters have forgotten what they were told before the log. None spans a
     gap of more than five samples or touches a stretch that is left out (`Log.rejected`).
 
-    - `noise`: standard deviation per channel, NaN for channels that are not to be used.
+    - `noise`: standard deviation per channel, NaN for those not to be used, as are those beyond.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
     - `dt` [s]: from sample to sample, default the logs' median; that of others too where there are more.
     """
+    logs = alike(logs, len(noise))
+    noise = np.pad(noise, (0, logs[0].channels.shape[1] - len(noise)), constant_values=np.nan)
     dt = float(np.median([log.dt for log in logs])) if dt is None else dt
     _check_sampling(logs, dt, length)
     size = max(4, round(length / dt))
@@ -164,7 +167,7 @@ def cut(
     of_all = {name: np.concatenate([parts[name] for parts in windows]) for name in windows[0]}
     of_all["attitude"] = quaternions_of(of_all["attitude"])
     return Cut(
-        logs=tuple(logs),
+        logs=logs,
         records=Records(
             **{name: jnp.asarray(np.stack([parts[name] for parts in records])) for name in records[0]}
         ),
@@ -216,10 +219,10 @@ def _recorded(
 
 
 def _weighed(
-    vehicle: Vehicle, log: Log, track: StateTrack, noise: Float[np.ndarray, "18"]
-) -> tuple[Float[np.ndarray, "times 18"], Float[np.ndarray, "times 18"]]:
+    vehicle: Vehicle, log: Log, track: StateTrack, noise: Float[np.ndarray, " channels"]
+) -> tuple[Float[np.ndarray, "times channels"], Float[np.ndarray, "times channels"]]:
     """What was measured (0: nothing, or the axis is locked), and 1 / standard deviation of its noise."""
-    free = np.concatenate([vehicle.free] * 3).astype(bool)
+    free = vehicle.free[np.array(AXES[: len(noise)])].astype(bool)
     usable = np.isfinite(log.channels) & np.isfinite(noise) & free
     weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
     # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
@@ -245,8 +248,8 @@ def _window_parts(
     begins: Int[np.ndarray, " windows"],
     size: int,
     track: StateTrack,
-    measured: Float[np.ndarray, "times 18"],
-    weight: Float[np.ndarray, "times 18"],
+    measured: Float[np.ndarray, "times channels"],
+    weight: Float[np.ndarray, "times channels"],
 ) -> dict[str, np.ndarray]:
     """The `Windows` of one log, by its number, their first samples and their size; Euler angles yet."""
     step = begins[:, None] + np.arange(size)

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from .._numbers import count, joined, number, percent
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS
 from ..diagnosis import BANDS, Diagnosis, MissingWrench, Predictions
 from ._curves import (
     CHANNEL_TITLES,
@@ -254,7 +254,7 @@ def _banded(predictions: Predictions) -> str:
 
 
 def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel:
-    column = CHANNELS.index(channel)
+    column = ALL_CHANNELS.index(channel)
     figure = Plot("time since the start [s]", f"{channel} [{shown_unit(channel)}]")
     if c.band is not None:
         later = c.ahead >= 0
@@ -270,7 +270,7 @@ def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel
 
 def _track(c: Course, i: int, shown: tuple[str, ...]) -> Panel:
     figure = Plot("east y [m]", "north x [m]", equal=True)
-    north, east = CHANNELS.index("x"), CHANNELS.index("y")
+    north, east = ALL_CHANNELS.index("x"), ALL_CHANNELS.index("y")
     track = {name: curve[c.ahead >= 0] for name, curve in c.curves.items()}
     for name in ("measured", *shown):
         figure.line(name, track[name][:, east], track[name][:, north])

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._numbers import number
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS
 from ..diagnosis import Diagnosis, Weighed
 from ._causes import title
 from ._curves import (
@@ -132,7 +132,7 @@ def _trajectories(diagnosis: Diagnosis) -> Figure | None:
     courses = [course(predictions, start, clock) for start in typical_starts(predictions)]
     if channel is None or not courses:
         return None
-    column = CHANNELS.index(channel)
+    column = ALL_CHANNELS.index(channel)
     figure, axes = _grid(len(courses), 3)
     for ax, c in zip(axes, courses, strict=True):
         measured = c.curves["measured"][:, column]
