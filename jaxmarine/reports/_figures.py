@@ -1,4 +1,4 @@
-"""The figures of the page: small panels, laid out by the page in a grid.
+"""The figures of the page and of the print: small panels, laid out in a grid.
 
 One panel is one plot, so that a narrow screen stacks them. A chart with several sheets shows one at a time.
 All colours come from the page, which knows whether it is light or dark.
@@ -59,7 +59,7 @@ class Sheet:
 class Chart:
     """A captioned set of panels; with several sheets, `choice` says what the reader chooses.
 
-    `legend` names the marks in use: before, after, noise, measured, band, since.
+    `legend` names the marks in use: before, after, noise, measured, band, since; `band`: what a band holds.
     """
 
     key: str
@@ -69,6 +69,7 @@ class Chart:
     sheets: tuple[Sheet, ...]
     choice: str = ""
     chosen: int = 0
+    band: str = ""
 
 
 def error_chart(diagnosis: Diagnosis) -> Chart | None:
@@ -140,6 +141,7 @@ def missing_time_chart(diagnosis: Diagnosis) -> Chart | None:
         sheets=tuple(sheets),
         choice="Log",
         chosen=int(np.argmax(lacks)),
+        band="± 2 standard deviations",
     )
 
 
@@ -240,6 +242,7 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
         sheets=tuple(sheets),
         choice="Channel",
         chosen=channels.index(chosen),
+        band=f"{percent(BANDS)} of predictions",
     )
 
 
