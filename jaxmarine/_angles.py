@@ -5,9 +5,9 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Array
 
-from ._types import ATTITUDE, CHANNELS
+from ._types import ALL_CHANNELS, ATTITUDE
 
-ANGLES = np.array([name in ATTITUDE for name in CHANNELS])
+ANGLES = np.array([name in ATTITUDE for name in ALL_CHANNELS])
 
 Angle = TypeVar("Angle", Array, np.ndarray)
 

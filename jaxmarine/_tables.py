@@ -7,14 +7,14 @@ import numpy as np
 import pydantic
 from pydantic import BeforeValidator
 
-from ._types import CHANNELS, WRENCH
+from ._types import ALL_CHANNELS, WRENCH
 
 # A direction this near to length one is kept to the last digit, so that files round-trip.
 _UNIT_LENGTH = 1e-9
 # Beyond any quantity of a vehicle in SI units (a tanker's inertia is some 1e12 kg m²); products of such
 # numbers stay finite.
 _ABSURD = 1e18
-_RESERVED = ("t", "all", *CHANNELS, *WRENCH)
+_RESERVED = ("t", "all", *ALL_CHANNELS, *WRENCH)
 
 
 def finite(value: Any) -> Any:

@@ -281,7 +281,7 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
 
 def _say_gain(result) -> None:
     """What the extension buys: first what it makes worse, then all channels together, then each quantity."""
-    from ._types import CHANNEL_UNITS, SENSORS
+    from ._types import ALL_SENSORS, CHANNEL_UNITS
 
     gain = result.gain
     for sentence in result.warnings:
@@ -293,8 +293,8 @@ def _say_gain(result) -> None:
     )
     for name, error in gain.quantities.items():
         if error is not None:
-            unit = CHANNEL_UNITS[SENSORS[name][0]]
-            channels = [channel for channel in SENSORS[name] if channel in gain.channels]
+            unit = CHANNEL_UNITS[ALL_SENSORS[name][0]]
+            channels = [channel for channel in ALL_SENSORS[name] if channel in gain.channels]
             each = ", ".join(f"{channel} {_ratio(gain.channels[channel])}" for channel in channels)
             _say(
                 f"  {name}: {error.before:.3g} to {error.after:.3g} {unit}, {_ratio(error)} of it "

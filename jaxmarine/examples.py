@@ -8,7 +8,6 @@ import scipy.ndimage
 from jaxtyping import Float
 
 from ._errors import InputError
-from ._types import CHANNELS
 from .effects import CATALOGUE, AbstractEffect, place
 from .logs import Log
 from .simulation import initial_state, simulate
@@ -65,7 +64,7 @@ def recorded(vehicle: Vehicle, commands, t, seed: int, name: str) -> Log:
     noise = vehicle.stated_noise
     if np.isnan(noise).all():
         raise InputError(f"{vehicle.name}: states no noise under [sensors]; say what a log of it measures.")
-    empty = Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, vehicle.command_names, name)
+    empty = Log(t, np.full((len(t), len(noise)), np.nan), commands, None, vehicle.command_names, name)
     clean = np.asarray(simulate(vehicle, empty, initial_state(vehicle)).channels)
     rng = np.random.default_rng(seed)
     channels = clean + noise * rng.standard_normal(clean.shape)

@@ -6,6 +6,7 @@ of a step the next sample.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._types import CHANNELS, Times
+from ._types import ALL_CHANNELS, ALL_SENSORS, ALWAYS, Times, width_of
 from ._vmap_last import vmap_last
 from .logs import Log
 from .physics import Asked, Late, from_euler, late, step_lengths, thrust
@@ -140,38 +141,53 @@ class Held(NamedTuple):
 
     after: State
     acting: Float[Array, " columns"]
-    shown: Float[Array, "18"]
+    shown: Float[Array, " channels"]
     given: Float[Array, " columns"]
 
 
-def steer(plant: Plant, state: State, acting: Float[Array, " columns"], commands, push, t, dt, split) -> Held:
+def steer(
+    plant: Plant,
+    state: State,
+    acting: Float[Array, " columns"],
+    commands,
+    push,
+    t,
+    dt,
+    split,
+    width: int = ALWAYS,
+) -> Held:
     """From one sample to the next under commands, for what is simulated while it is steered.
 
     - `acting`: where the actuators' lags stand at the sample; before the first, `asked(...).goal[0]`.
     - `push`: a wrench on the hull beside the actuators' [N, N m, body axes].
+    - `width`: how many channels are shown.
 
     Without delays of commands and of sensors, which ask for what was before.
     """
     goal = asked(plant, commands, dt)
     given = jax.tree.map(lambda a: a[0], goal.thrust(acting[None]))
     over = Input(given.mean, commands, push, t, given.slope, t + 0.5 * dt)
-    shown = plant.readings(state, plant.acceleration(state, Input(given.instant, commands, push, t)))
+    now = Input(given.instant, commands, push, t)
+    shown = plant.readings(state, plant.acceleration(state, now), width)
     return Held(hold(plant, state, over, dt, split), goal.after(acting[None])[0], shown, given.instant)
 
 
 class Trajectory(eqx.Module):
     """What a simulation gives at each sample of its log.
 
-    - `t` [s]; `channels`: what the sensors show, in the order of `_types.CHANNELS`;
+    - `t` [s]; `channels`: what the sensors show, in the order of `ALL_CHANNELS`, as many as were asked;
       `states`: the states, batched along the samples.
     """
 
     t: Times
-    channels: Float[Array, "times 18"]
+    channels: Float[Array, "times channels"]
     states: State
 
     def __getitem__(self, channel: str) -> Times:
-        return self.channels[:, CHANNELS.index(channel)]
+        place = ALL_CHANNELS.index(channel)
+        if place >= self.channels.shape[1]:
+            raise ValueError(f"Channel `{channel}` was not simulated; name its kind in `sensors`.")
+        return self.channels[:, place]
 
 
 def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np.ndarray, "times placed"]:
@@ -193,12 +209,11 @@ def gates(vehicle: Vehicle, log: Log, earlier: tuple[str, ...] = ()) -> Float[np
 
 def initial_state(vehicle: Vehicle, position=(0, 0, 0), attitude=(0, 0, 0), velocity=(0,) * 6) -> State:
     """A state from position [m], roll, pitch, yaw [rad] and body velocities [m/s, rad/s]."""
-    memory = 6 if vehicle.plant().has_memory else 0
     return State(
         position=jnp.asarray(position, float),
         attitude=from_euler(jnp.asarray(attitude, float)),
         velocity=jnp.asarray(velocity, float),
-        memory=jnp.zeros(memory),
+        memory=jnp.zeros(6 * len(vehicle.plant().memories)),
     )
 
 
@@ -248,7 +263,9 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
 
 
 @eqx.filter_jit
-def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split):
+def _roll_out(
+    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split, width: int
+):
     plants = jax.vmap(vehicle.plant)(acting)
     # The slider is no effect: it is the same in all segments.
     sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), slider=vehicle.slider)
@@ -257,7 +274,7 @@ def _roll_out(vehicle: Vehicle, acting, segment, start: State, t, commands, wren
     def step(state, now):
         index, over, at, dt, split = now
         plant = jax.tree.map(lambda a: a[index], plants)
-        shown = plant.readings(state, plant.acceleration(state, at))
+        shown = plant.readings(state, plant.acceleration(state, at), width)
         if solver is None:
             after = hold(plant, state, over, dt, split)
         else:
@@ -289,6 +306,7 @@ def simulate(
     solver: diffrax.AbstractSolver | None = None,
     earlier: tuple[str, ...] = (),
     push: Float[np.ndarray, "times 6"] | None = None,
+    sensors: Sequence[str] = (),
 ) -> Trajectory:
     """Simulates the vehicle from `start` under the commands (or control wrench) of a log.
 
@@ -298,7 +316,12 @@ def simulate(
     - `earlier`: names of logs recorded before the effects with `since` began.
     - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands, held from sample to
       sample: what disturbs it, such as a draw of a `RandomWrench`.
+    - `sensors`: kinds to show beside those of every log and of this one: "water_velocity", "specific_force".
     """
+    unknown = [kind for kind in sensors if kind not in ALL_SENSORS]
+    if unknown:
+        raise ValueError(f"Argument `sensors` has {unknown[0]!r}, which is none of {', '.join(ALL_SENSORS)}.")
+    asked_for = width_of(kind in sensors for kind, channels in ALL_SENSORS.items() for _ in channels)
     acting, segment = np.unique(gates(vehicle, log, earlier), axis=0, return_inverse=True)
     count = len(vehicle.command_names)
     given = log.commanded(vehicle.command_names)
@@ -318,4 +341,5 @@ def simulate(
         wrench,
         solver,
         jnp.asarray(split),
+        max(log.channels.shape[1], asked_for),
     )

@@ -15,9 +15,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ._types import DOFS, SENSORS, Matrix3, Matrix6, Quaternion, Times, Vector3, Velocity, Wrench
+from ._types import (
+    ALL_SENSORS,
+    ALWAYS,
+    DOFS,
+    TABLE,
+    Matrix3,
+    Matrix6,
+    Moving,
+    Quaternion,
+    Times,
+    Vector3,
+    Velocity,
+    Wrench,
+    width_of,
+)
 from .actuators import AbstractActuators, Flow, Supply, joined
 from .effects import (
     CATALOGUE,
@@ -58,8 +72,8 @@ _ORDER = {effect: place for place, effect in enumerate(CATALOGUE)}
 class State(eqx.Module):
     """Position of `o` [m] NED, attitude quaternion, velocity over ground in body axes, fluid memory.
 
-    `memory` is the relative velocity passed through the lag of each axis; it is empty (shape 0)
-    in a vehicle without fluid memory.
+    `memory` is the relative velocity passed through the lag of each axis, six numbers for every fluid memory
+    in the order of `Plant.memories`; it is empty (shape 0) in a vehicle without one.
     """
 
     position: Vector3
@@ -176,7 +190,7 @@ class Vehicle(eqx.Module):
     name: str = eqx.field(static=True)
     dof: tuple[str, ...] = eqx.field(static=True)
     thruster_names: tuple[str, ...] = eqx.field(static=True)
-    # Stated standard deviations of the sensors by kind (keys of `_types.SENSORS`), as pairs.
+    # Stated standard deviations of the sensors by kind (keys of `_types.ALL_SENSORS`), as pairs.
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     # How far sections of the file may be off, as shares of their values (keys of its table `[prior]`).
     prior: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
@@ -222,10 +236,18 @@ class Vehicle(eqx.Module):
         return limits if self.slider is None else np.append(limits, 1.0)
 
     @property
-    def stated_noise(self) -> Float[np.ndarray, "18"]:
-        """Standard deviation that the file states for each channel, NaN where it states none."""
+    def stated_noise(self) -> Float[np.ndarray, " channels"]:
+        """Standard deviation that the file states for each channel that a log of it has, NaN for none."""
         stated = dict(self.sensors)
-        return np.array([stated.get(kind, np.nan) for kind, channels in SENSORS.items() for _ in channels])
+        noise = np.array(
+            [stated.get(kind, np.nan) for kind, channels in ALL_SENSORS.items() for _ in channels]
+        )
+        return noise[: width_of(np.isfinite(noise))]
+
+    def states_noise(self, width: int) -> Bool[np.ndarray, " channels"]:
+        """Whether the file states the noise of each of the first so many channels."""
+        stated = dict(self.sensors)
+        return np.array([kind in stated for kind, channels in ALL_SENSORS.items() for _ in channels])[:width]
 
     @property
     def mass_matrix(self) -> Matrix6:
@@ -345,20 +367,25 @@ class Plant(eqx.Module):
         return jnp.zeros(3) if self.current is None else self.current
 
     @property
+    def memories(self) -> tuple[FluidMemory, ...]:
+        """The fluid memories, each with a lag of its own on every axis, so that two may act on one."""
+        return tuple(e for e in self.wrenches if isinstance(e, FluidMemory))
+
+    @property
     def has_memory(self) -> bool:
-        return any(isinstance(e, FluidMemory) for e in self.wrenches)
+        return bool(self.memories)
 
     def memory_gain(self) -> Float[Array, "memories 6"]:
         """Damping that comes late, of each fluid memory and axis [N s/m, N m s]."""
-        return jnp.stack([e.gain for e in self.wrenches if isinstance(e, FluidMemory)])
+        return jnp.stack([e.gain for e in self.memories])
 
-    def memory_lag(self) -> Float[Array, "6"]:
-        """Time constant of the fluid memory of each axis [s]."""
-        memories = [e for e in self.wrenches if isinstance(e, FluidMemory)]
-        lag = memories[0].time_constant
-        for memory in memories[1:]:
-            lag = jnp.where(memory.gain != 0.0, memory.time_constant, lag)
-        return jnp.maximum(lag, 1e-2)
+    def memory_lag(self) -> Float[Array, " memory"]:
+        """Time constants of the fluid memories [s], in the order of `State.memory`."""
+        return jnp.maximum(jnp.concatenate([e.time_constant for e in self.memories]), 1e-2)
+
+    def for_each_memory(self, relative: Float[Array, "*times 6"]) -> Float[Array, "*times memory"]:
+        """The velocity through the water [m/s, rad/s], for each fluid memory: what drives it."""
+        return jnp.concatenate([relative] * len(self.memories), axis=-1)
 
     def relative(self, attitude: Quaternion, velocity: Velocity) -> Velocity:
         """Velocity through the water, body axes, zero on locked axes [m/s, rad/s]."""
@@ -421,7 +448,11 @@ class Plant(eqx.Module):
         )
         if self.slider is not None and drive.slide is not None:
             out = out + self.slider.reaction(drive.slide(drive.t), state.velocity)
+        begin = 0
         for effect in self.wrenches:
+            if isinstance(effect, FluidMemory):
+                motion = dataclasses.replace(motion, lagged=state.memory[begin : begin + 6])
+                begin += 6
             out = out - effect(motion)
         return out
 
@@ -472,7 +503,7 @@ class Plant(eqx.Module):
         """Time derivative of the state."""
         if self.has_memory:
             relative = self.relative(state.attitude, state.velocity)
-            memory = (relative - state.memory) / self.memory_lag()
+            memory = (self.for_each_memory(relative) - state.memory) / self.memory_lag()
         else:
             memory = jnp.zeros_like(state.memory)
         return State(
@@ -482,13 +513,21 @@ class Plant(eqx.Module):
             memory=memory,
         )
 
-    def readings(self, state: State, nu_dot: Velocity) -> Float[Array, "18"]:
-        """What sensors in time show, in the order of `_types.CHANNELS`."""
+    def readings(self, state: State, nu_dot: Velocity, width: int = ALWAYS) -> Float[Array, " channels"]:
+        """What sensors in time show, in the order of `ALL_CHANNELS`, of which these are the first `width`.
+
+        Effects of sensors touch the channels that they name; kinds with an equation in `TABLE` show what is.
+        """
         shown = Readings(state.position, to_euler(state.attitude), state.velocity, nu_dot)
         turn = rotation(state.attitude)
         for effect in self.sensors:
             shown = effect(shown, turn)
-        return jnp.concatenate([shown.position, shown.attitude, shown.nu, shown.nu_dot])
+        channels = [shown.position, shown.attitude, shown.nu, shown.nu_dot]
+        if width > ALWAYS:
+            nu_r = self.relative(state.attitude, state.velocity)
+            seen = Moving(turn, state.velocity, nu_r, nu_dot, self.load.gravity)
+            channels += [one.shows(seen) for one in TABLE[: width // 3] if one.shows]
+        return jnp.concatenate(channels)
 
 
 def reach(plant: Plant) -> Float[np.ndarray, "6"]:
@@ -518,7 +557,7 @@ def reach(plant: Plant) -> Float[np.ndarray, "6"]:
     for _ in range(20):
         middle = 0.5 * (low + high)
         nu = jnp.zeros(6).at[0].set(middle)
-        state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), nu, jnp.zeros(6 * plant.has_memory))
+        state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), nu, jnp.zeros(6 * len(plant.memories)))
         driven = Input(jnp.asarray(ahead), jnp.zeros(columns), jnp.zeros(6), jnp.zeros(()))
         missing = float(plant.balance(state, jnp.zeros(6), driven)[0])
         low, high = (middle, high) if missing < 0.0 else (low, middle)

@@ -21,7 +21,7 @@ from pydantic import Field
 from ._errors import InputError
 from ._files import did_you_mean, read_toml, validated, written_whole
 from ._tables import Number, Rows3, Rows6, Table, Triple, finite, unit_direction, usable_name
-from ._types import DOFS
+from ._types import DOFS, TABLE
 from .actuators import KINDS, AbstractActuators, Supply, Swivels
 
 # Published inertia matrices are printed to a few digits.
@@ -154,19 +154,29 @@ class Slider(Table):
     _unit_direction = pydantic.field_validator("direction")(unit_direction)
 
 
-class Sensors(Table):
+class _Sensors(Table):
     """Standard deviations of white noise; what is absent is estimated from the log."""
-
-    position: Number | None = Field(default=None, gt=0, description="a positive number [m]")
-    attitude: Number | None = Field(default=None, gt=0, description="a positive number [rad]")
-    velocity: Number | None = Field(default=None, gt=0, description="a positive number [m/s]")
-    rate: Number | None = Field(default=None, gt=0, description="a positive number [rad/s]")
-    acceleration: Number | None = Field(default=None, gt=0, description="a positive number [m/s²]")
-    angular_acceleration: Number | None = Field(default=None, gt=0, description="a positive number [rad/s²]")
 
     def stated(self) -> dict[str, float]:
         """The kinds that are given, with their standard deviations in SI units."""
         return self.model_dump(exclude_none=True)
+
+
+if TYPE_CHECKING:
+    Sensors = _Sensors
+else:
+    # A key for each line of the table of sensors.
+    Sensors = pydantic.create_model(
+        "Sensors",
+        __base__=_Sensors,
+        **{
+            one.kind: (
+                Number | None,
+                Field(default=None, gt=0, description=f"a positive number [{one.unit}]"),
+            )
+            for one in TABLE
+        },
+    )
 
 
 class Prior(Table):

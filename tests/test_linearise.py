@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from jaxmarine._types import CHANNELS
-from jaxmarine.effects import CATALOGUE, AbstractEffect, SensorEffect
+from jaxmarine.effects import CATALOGUE, AbstractEffect, FluidMemory, SensorEffect
 from jaxmarine.fitting import (
     Affine,
     Problem,
     _linearise,
     _rollout,
+    _rows,
     _thrust_slopes,
     cut,
     linearise,
@@ -26,10 +27,10 @@ from jaxmarine.fitting import (
     screening,
     start_precision,
 )
-from jaxmarine.fitting._linearise import FEW, Columns
+from jaxmarine.fitting._affine import FEW, Columns
 from jaxmarine.fitting._rollout import fluid_memory
 from jaxmarine.simulation import simulate
-from jaxmarine.vehicle import Placed, Plant, State, Vehicle
+from jaxmarine.vehicle import Input, Placed, Plant, State, Vehicle
 from tests.crafts import independent, log_of, packaged, random_commands, random_start
 
 DT, LENGTH = 0.05, 2.0
@@ -250,7 +251,7 @@ def test_a_memory_that_pushes_nothing_and_is_not_asked_for_is_left_out(monkeypat
     @eqx.filter_jit
     def told(affine, remembers):
         with monkeypatch.context() as patch:
-            patch.setattr(_linearise, "_remembers", lambda *_: remembers)
+            patch.setattr(_rows, "_remembers", lambda *_: remembers)
             return linearise(this.problem, affine, delta).h_zz
 
     for affine, needed in ((still, True), (unasked, False)):
@@ -312,6 +313,41 @@ def test_a_screening_sums_groups_of_windows_and_has_a_free_wrench():
         # As the derivatives by z above.
         assert (np.abs(h_own[w, 3:, 3:] - exact) <= 0.02 * np.outer(bound, bound) + 1e-12).all()
     assert np.linalg.norm(by_wrench, axis=(0, 1)).max() > 1.0
+
+
+def test_each_fluid_memory_of_a_log_is_that_which_is_alone():
+    """A vehicle that has one on every axis may get a second: their motions, slopes and forces stay apart."""
+    this = case(*THREE_AXES)
+    vehicle = packaged("cybership2")
+    both = [
+        Placed(FluidMemory(jnp.full(6, gain), jnp.full(6, lag))) for gain, lag in ((30.0, 0.5), (-8.0, 4.0))
+    ]
+
+    def plants_of(*placed):
+        return jax.tree.map(lambda a: a[None], vehicle.place(*placed).plant())
+
+    still = dataclasses.replace(
+        this.problem,
+        records=dataclasses.replace(this.problem.records, segment=0 * this.problem.records.segment),
+    )
+    apart = [fluid_memory(still, plants_of(one)) for one in both]
+    together = fluid_memory(still, plants_of(*both))
+    for got, first, second in zip(together, *apart, strict=True):
+        np.testing.assert_allclose(got, np.concatenate([first, second], axis=-1), rtol=0, atol=1e-14)
+        assert np.abs(first - second).max() > 0.1 * np.abs(first).max()
+    moved, nothing = 13, jnp.zeros(len(vehicle.drive_names))
+    drive = Input(nothing, nothing, jnp.zeros(6), jnp.zeros(()))
+    nu = jnp.zeros(6)
+
+    def missing(lagged, *placed):
+        state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), nu, lagged)
+        return vehicle.place(*placed).plant().balance(state, nu, drive)
+
+    first, second = (one[0][0, moved] for one in apart)
+    expected = 30.0 * first - 8.0 * second
+    found = missing(together[0][0, moved], *both)
+    free = np.array(vehicle.axes)
+    np.testing.assert_allclose(found[free], expected[free], rtol=0, atol=1e-12)
 
 
 def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one():

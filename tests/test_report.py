@@ -31,7 +31,7 @@ from jaxmarine.diagnosis import (
 from jaxmarine.effects import CATALOGUE, Waves
 from jaxmarine.fitting import AxisCheck, Check
 from jaxmarine.fitting._coverage import AxisCoverage
-from jaxmarine.reports import _causes, _curves, _page, _svg, _words, _write, write_report
+from jaxmarine.reports import _causes, _curves, _figures, _page, _pictures, _svg, _words, _write, write_report
 from jaxmarine.vehicle import Body, Damping, Thrusters, Vehicle
 
 PLANAR = ("surge", "sway", "yaw")
@@ -411,6 +411,38 @@ def test_curves_lie_where_their_numbers_do_and_break_where_there_are_none():
     assert labels["0"] == pytest.approx(top + 4, abs=0.11) and labels["4"] == pytest.approx(
         last + 4, abs=0.11
     )
+
+
+def test_page_and_print_draw_the_same_chart():
+    """Each panel of the sheet that the page shows first, line by line and mark by mark."""
+    one = diagnosis()
+    for chart in (
+        _figures.error_chart(one),
+        _figures.missing_time_chart(one),
+        _figures.trajectory_chart(one),
+    ):
+        assert chart is not None
+        figure, panels = _pictures.printed(chart), chart.sheets[chart.chosen].panels
+        assert len(figure.axes) == len(panels)
+        for ax, panel in zip(figure.axes, panels, strict=True):
+            plot = panel.figure
+            svg = ElementTree.fromstring(plot.svg())
+            lines = [shape for shape in plot.shapes if shape.form == "line"]
+            bands = [shape for shape in plot.shapes if shape.form == "band"]
+            curves = {str(line.get_label()): line for line in ax.get_lines()}
+            assert ax.get_title() == panel.title and ax.get_xlabel() == plot.x_title
+            for shape in lines:
+                x, y = curves[shape.kind].get_data()
+                assert np.array_equal(x, shape.x) and np.array_equal(y, shape.y, equal_nan=True)
+                assert len(drawn(svg, f"line {shape.kind}")) == 1
+            # The first panel has one more, empty, for the legend.
+            filled = [one for one in ax.collections if one.get_paths()]
+            assert len(filled) == len(bands) == sum(len(drawn(svg, f"band {b.kind}")) for b in bands)
+            dotted = [line.get_xdata()[0] for line in ax.get_lines() if line.get_linestyle() == ":"]
+            assert dotted == plot.marks and len(drawn(svg, "mark")) == len(plot.marks)
+        words = [text.get_text() for text in figure.legends[0].get_texts()]
+        named = [chart.band if name == "band" else name for name in chart.legend]
+        assert words == [name for name in named if name != "since"]
 
 
 WORSE = Gain(

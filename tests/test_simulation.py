@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from experiments.blind import plant as blind
@@ -232,6 +233,38 @@ def test_coast_down_matches_the_closed_form():
         travelled = np.sign(u0) * 16.0 / 8.0 * np.log(1.0 + 8.0 * abs(u0) * T / 16.0)
         assert np.allclose(track["u"], exact, rtol=1e-7)
         assert np.allclose(track["x"], travelled, rtol=1e-7, atol=1e-7)
+
+
+def test_two_fluid_memories_on_an_axis_have_a_lag_each():
+    """m u' = -m_1 - m_2 with tau_i m_i' = gain_i u - m_i is linear: by the matrix exponential.
+
+    The second has a gain on one axis only, and one in sway between them leaves both alone.
+    """
+    mass, gains, lags = 10.0, (6.0, 9.0), (0.4, 2.5)
+    system = np.array(
+        [
+            [0.0, -1 / mass, -1 / mass],
+            [gains[0] / lags[0], -1 / lags[0], 0],
+            [gains[1] / lags[1], 0, -1 / lags[1]],
+        ]
+    )
+    surge = jnp.zeros(6).at[0].set(1.0)
+    first, second = (
+        Placed(FluidMemory(gain * surge, 1.0 + (lag - 1.0) * surge), "surge")
+        for gain, lag in zip(gains, lags, strict=True)
+    )
+    between = Placed(FluidMemory(jnp.roll(surge, 1), jnp.full(6, 7.0)), "sway")
+    exact = np.array([(expm(system * t) @ [1.0, 0.0, 0.0])[0] for t in T])
+    for memories in (first, second), (second, between, first):
+        vehicle = brick().place(*memories)
+        start = initial_state(vehicle, velocity=(1.0, 0, 0, 0, 0, 0))
+        track = simulate(vehicle, log_of(vehicle, T), start, diffrax.Tsit5())
+        assert np.allclose(track["u"], exact, rtol=0, atol=1e-6)
+    # Far from both of one lag, whichever that is.
+    for lag in lags:
+        shared = brick().place(Placed(FluidMemory(sum(gains) * surge, 1.0 + (lag - 1.0) * surge)))
+        track = simulate(shared, log_of(shared, T), initial_state(shared, velocity=(1.0, 0, 0, 0, 0, 0)))
+        assert np.abs(track["u"] - exact).max() > 0.02
 
 
 def test_terminal_velocity_of_a_heavy_body():

@@ -65,7 +65,7 @@ class Learner:
 
     free: Select
     prior: PyTree
-    noise: Float[np.ndarray, "18"]
+    noise: Float[np.ndarray, " channels"]
     learned: float = 15.0
     judged: float = 5.0
     piece: float = 2.5
@@ -127,7 +127,7 @@ class Learner:
         return vehicle if finite else None
 
 
-def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, "18"]) -> float:
+def prediction_error(vehicle: Vehicle, log: Log, start, noise: Float[np.ndarray, " channels"]) -> float:
     """Root-mean-square difference of a roll-out to what was measured, in units of the noise."""
     off = wrapped(simulate(vehicle, log, start).channels - log.channels)
     scaled = np.asarray(off) / noise

@@ -37,7 +37,9 @@ def banded(shown: Predictions, home: Sequence[Predictions]) -> Predictions:
     return dataclasses.replace(shown, band=half)
 
 
-def _errors(one: Predictions, ahead: Float[np.ndarray, " steps"]) -> Float[np.ndarray, "starts steps 18"]:
+def _errors(
+    one: Predictions, ahead: Float[np.ndarray, " steps"]
+) -> Float[np.ndarray, "starts steps channels"]:
     """Absolute errors at times [s] after the starts, NaN where nothing was measured."""
     own = one.times[0, one.begin :] - one.times[0, one.begin]
     nearest = one.begin + np.abs(own[:, None] - ahead).argmin(axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import stdtrit
 
-from .._types import ATTITUDE, CHANNELS, POSITION, RATE, VELOCITY
+from .._types import ALL_CHANNELS, ATTITUDE, POSITION, RATE, VELOCITY
 from ..effects import AbstractEffect
 from ..fitting import (
     Affine,
@@ -162,9 +162,9 @@ def predictions(
 
 
 def _in_phase(tried: np.ndarray, windows: Windows, begin: int) -> np.ndarray:
-    """Predictions [starts, steps, 18] with the phase that fits the data before each start best.
+    """Predictions [starts, steps, channels] with the phase that fits the data before each start best.
 
-    - `tried` [phases, starts, steps, 18]: the predictions with phases spread evenly over a turn.
+    - `tried` [phases, starts, steps, channels]: the predictions with phases spread evenly over a turn.
     """
     tried = tried[0] + np.asarray(wrapped(tried - tried[0]))
     error = np.asarray(wrapped(tried - np.asarray(windows.measured))) * np.asarray(windows.weight)
@@ -270,7 +270,7 @@ def _sums(predicted: Sequence[Predictions]) -> _Sums:
     return _Sums(np.concatenate(before), np.concatenate(after), np.concatenate(seen), tuple(stretches))
 
 
-def _in_noise(sums: _Sums, noise: Float[np.ndarray, "18"]) -> _Sums:
+def _in_noise(sums: _Sums, noise: Float[np.ndarray, " channels"]) -> _Sums:
     """One column: all channels together, each in units of its noise."""
     scale = np.where(np.isfinite(noise), noise, np.inf) ** 2
     before, after = ((each / scale).sum(1, keepdims=True) for each in (sums.before, sums.after))
@@ -288,7 +288,7 @@ def _off_at_start(one: Predictions) -> Float[np.ndarray, "starts quantities"]:
     for model, predicted in enumerate((one.before, one.after)):
         error = _missed(predicted[:, here], one.measured[:, here], one.noise) / one.noise
         for i, names in enumerate(QUANTITIES.values()):
-            squares = error[..., [CHANNELS.index(name) for name in names]] ** 2
+            squares = error[..., [ALL_CHANNELS.index(name) for name in names]] ** 2
             count = np.isfinite(squares).sum(axis=(1, 2))
             mean = np.nansum(squares, axis=(1, 2)) / np.maximum(count, 1)
             out[model, :, i] = np.sqrt(np.where(count > 0, mean, np.nan))
@@ -329,7 +329,7 @@ def _scored(predicted: Sequence[Predictions]) -> tuple[list[Predictions], tuple[
 
 
 def gain(
-    predicted: Sequence[Predictions], noise: Float[np.ndarray, "18"], held_out: Sequence[bool]
+    predicted: Sequence[Predictions], noise: Float[np.ndarray, " channels"], held_out: Sequence[bool]
 ) -> tuple[Gain, Predictions]:
     """The gain over all test logs with its intervals, and the predictions on the longest of them.
 
@@ -343,11 +343,11 @@ def gain(
     ratio, interval = _in_noise(sums, weights).ratio()
     apart = dict(zip((one.log for one in predicted), held_out, strict=True))
     per_log = [(one, _in_noise(_sums([one]), weights).ratio()) for one in scored]
-    each = {name: sums.of([i]).error(noise[[i]]) for i, name in enumerate(CHANNELS)}
+    each = {name: sums.of([i]).error(noise[[i]]) for i, name in enumerate(ALL_CHANNELS[: len(noise)])}
     quantities = {
         quantity: sums.of(columns).error(noise[columns])
         for quantity, names in QUANTITIES.items()
-        for columns in [[CHANNELS.index(name) for name in names]]
+        for columns in [[ALL_CHANNELS.index(name) for name in names]]
     }
     return (
         Gain(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS
 from ._model import Model, Workbench
 
 # What came before, in octaves of samples.
@@ -64,7 +64,7 @@ def _innovations(bench: Workbench, model: Model) -> dict[str, list[Float[np.ndar
         for i, series in enumerate(of_logs):
             here = log == i
             series[step[here]] = white[here][..., row]
-        out[CHANNELS[channel]] = of_logs
+        out[ALL_CHANNELS[channel]] = of_logs
     return out
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._compiled import compiled
 from .._errors import InputError, runaway
-from .._types import DOFS
+from .._types import AXES, DOFS, POSES
 from ..effects import AbstractEffect
 from ..fitting import (
     LEAST_DAMPING,
@@ -204,9 +204,9 @@ class Workbench:
         families: tuple[AbstractEffect, ...],
         layout: Layout,
         data: Cut,
-        noise: Float[np.ndarray, "18"],
+        noise: Float[np.ndarray, " channels"],
         split: int,
-        own_noise: Float[np.ndarray, "18"] | None = None,
+        own_noise: Float[np.ndarray, " channels"] | None = None,
         filed: Vehicle | None = None,
         room: Room | None = None,
     ):
@@ -619,15 +619,15 @@ class Workbench:
         return np.asarray(_water(plant_of, jnp.asarray(theta), jnp.asarray(last)))
 
     @property
-    def _own_weight(self) -> Float[np.ndarray, "windows steps 18"]:
+    def _own_weight(self) -> Float[np.ndarray, "windows steps channels"]:
         """One over the noise of the sensors alone, 0 where nothing was measured."""
         return np.where(np.asarray(self.data.windows.weight) > 0, np.nan_to_num(1.0 / self.own_noise), 0.0)
 
-    def largest_noise(self) -> Float[np.ndarray, "18"]:
+    def largest_noise(self) -> Float[np.ndarray, " channels"]:
         """Noise per channel at which it tells no more than that it stays as it is within a window."""
         return largest(np.asarray(self.data.windows.measured), self._own_weight) * self.own_noise
 
-    def noise_left(self, model: Model) -> Float[np.ndarray, "18"]:
+    def noise_left(self, model: Model) -> Float[np.ndarray, " channels"]:
         """Noise per channel that the model leaves over the windows, of samples that are worth one each.
 
         That of the sensors where it is no more; see `fitting._weights`.
@@ -636,12 +636,12 @@ class Workbench:
         own = self._own_weight
         return overdispersion(self._errors(model), own, np.nan_to_num(most, nan=1.0)) * self.own_noise
 
-    def left(self, model: Model) -> Float[np.ndarray, "18"]:
+    def left(self, model: Model) -> Float[np.ndarray, " channels"]:
         """Root mean square error that the model leaves in each channel, in units of its sensor's noise."""
         count = (self._own_weight > 0).sum(axis=(0, 1))
         return np.sqrt((self._errors(model) ** 2).sum(axis=(0, 1)) / np.maximum(count, 1))
 
-    def _errors(self, model: Model) -> Float[np.ndarray, "windows steps 18"]:
+    def _errors(self, model: Model) -> Float[np.ndarray, "windows steps channels"]:
         """Prediction minus measured in units of the sensors' own noise, 0 where nothing was measured."""
         model = self.undisturbed(model)
         channels = predict(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)[0]
@@ -690,7 +690,7 @@ class Workbench:
         taken = np.asarray(problem.windows.weight)[: self.fine.count][..., np.array(problem.channels)] > 0
         return np.where(taken, white, np.nan)
 
-    def reweighed(self, noise: Float[np.ndarray, "18"]) -> "Workbench":
+    def reweighed(self, noise: Float[np.ndarray, " channels"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""
         factor = np.nan_to_num(noise / self.own_noise, nan=1.0)
         weight = scaled(self._own_weight, factor, self.data.logs[0].dt)
@@ -938,9 +938,10 @@ def _starts(data: Cut, vehicle: Vehicle) -> int:
 
     Of each axis its velocity, where anything of it is measured, and its position where that is.
     """
-    measured = (np.asarray(data.windows.weight) > 0).any(axis=(0, 1)).reshape(3, 6)
-    free = np.asarray(vehicle.free) > 0
-    return int((measured[0] & free).sum() + (measured.any(axis=0) & free).sum())
+    measured = np.flatnonzero((np.asarray(data.windows.weight) > 0).any(axis=(0, 1)))
+    seen = np.array(AXES)[measured]
+    placed = seen[measured < POSES.stop]
+    return sum((axis in placed) + (axis in seen) for axis in vehicle.axes)
 
 
 def _grouped(log: Int[np.ndarray, " windows"]) -> Int[np.ndarray, " windows"]:

@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 from .._errors import InputError
 from .._precision import need_double
 from .._progress import Progress, silent
+from .._types import AXES
 from ..fitting import start_precision, wrapped
 from ..logs import Log
 from ..physics import late, step_lengths, to_euler
@@ -89,7 +90,7 @@ class _Causes(eqx.Module):
     theta: Float[Array, "causes parameters"]
     columns: Float[Array, "causes parameters z"]
     precision: Float[Array, "causes z"]
-    weight: Float[Array, "18"]
+    weight: Float[Array, " channels"]
     middle: Float[Array, " columns"]
     half: Float[Array, " columns"]
     t: Float[Array, " times"]
@@ -115,7 +116,7 @@ class _Causes(eqx.Module):
 
         def step(state, now):
             over, at, dt = now
-            shown = plant.readings(state, plant.acceleration(state, at))
+            shown = plant.readings(state, plant.acceleration(state, at), len(self.weight))
             return hold(plant, state, over, dt, self.split), (state, shown)
 
         states, shown = jax.lax.scan(step, start, tracks)[1]
@@ -338,7 +339,8 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         raise InputError(
             f"A manoeuvre of {duration:g} s is too short for a diagnosis; give {2 * WINDOW:g} s or more."
         )
-    weight = np.nan_to_num(1.0 / vehicle.stated_noise) * np.tile(vehicle.free, 3)
+    noise = vehicle.stated_noise
+    weight = np.nan_to_num(1.0 / noise) * vehicle.free[np.array(AXES[: len(noise)])]
     if not weight.any():
         raise InputError(
             f"{vehicle.name}: states no noise under [sensors]; say what is measured, and how well."

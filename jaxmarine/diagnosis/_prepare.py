@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from .._errors import InputError
 from .._progress import FITTING, Progress, silent
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS, AXES, MOTION
 from ..effects import AbstractEffect, ExchangedThrusters
 from ..fitting import GrossError, answers, contradiction, cut, misconnected, noise_of, reviewed, settled
-from ..logs import Log, Note
+from ..logs import Log, Note, alike
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
@@ -49,7 +49,7 @@ def window_length(duration: float, dt: float) -> float:
 
 def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
     """The fastest that the logs go on each axis [m/s, rad/s], 1 where it was not measured."""
-    speeds = np.abs(np.concatenate([log.channels[:, 6:12] for log in logs]))
+    speeds = np.abs(np.concatenate([log.channels[:, MOTION] for log in logs]))
     return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), 1.0)
 
 
@@ -91,6 +91,8 @@ def opened_with(
     tests = (test,) if isinstance(test, Log) else tuple(test)
     if not tests:
         raise InputError("A diagnosis needs at least one test log.")
+    every = alike((*logs, *tests))
+    logs, tests = every[: len(logs)], every[len(logs) :]
     vehicle = supplied(vehicle, logs, tests, catalogue)
     notes = [note for log in (*logs, *tests) for note in log.notes]
     logs, tests, doubled = named_apart(logs, tests)
@@ -214,8 +216,9 @@ def moving(logs: Sequence[Log]) -> None:
 def stuck(bench: Workbench) -> list[str]:
     """A note on channels that are measured but cannot be used, on axes that move."""
     measured = np.isfinite(np.concatenate([log.channels for log in bench.data.logs])).any(axis=0)
-    useless = measured & np.isnan(bench.noise) & (np.tile(bench.vehicle.free, 3) > 0)
-    names = [name for name, bad in zip(CHANNELS, useless, strict=True) if bad]
+    free = bench.vehicle.free[np.array(AXES[: len(bench.noise)])] > 0
+    useless = measured & np.isnan(bench.noise) & free
+    names = [name for name, bad in zip(ALL_CHANNELS, useless, strict=False) if bad]
     if not names:
         return []
     return [
@@ -226,7 +229,7 @@ def stuck(bench: Workbench) -> list[str]:
 
 def _unstated(bench: Workbench) -> list[int]:
     """Channels that are used and whose noise the vehicle file does not state."""
-    unstated = np.isnan(bench.vehicle.stated_noise)
+    unstated = ~bench.vehicle.states_noise(len(bench.noise))
     return np.flatnonzero(unstated & np.isfinite(bench.noise)).tolist()
 
 

@@ -264,20 +264,20 @@ class Predictions:
 
     - `times` [starts, steps]: log time [s] of each step after a start; the prediction begins at `begin`
       (an index along steps): what lies before it is where the start state was estimated.
-    - `measured`, `before`, `after` [starts, steps, 18]: in the order of `_types.CHANNELS`; NaN where not
-      measured. `noise` [18]: standard deviation per channel, NaN where not measured.
-    - `log`: the name of the test log. `band` [ahead, 18]: from the start on, how far `after` is off at most
-      in a share `BANDS` of predictions (`_bands.py`); None where no training log is long enough to tell.
+    - `measured`, `before`, `after` [starts, steps, channels]: in the order of `ALL_CHANNELS`; NaN where not
+      measured. `noise` [channels]: standard deviation per channel, NaN where not measured.
+    - `log`: the name of the test log. `band` [ahead, channels]: from the start on, how far `after` is off at
+      most in a share `BANDS` of predictions (`_bands.py`); None where no training log is long enough to tell.
     """
 
     times: Float[np.ndarray, "starts steps"]
     begin: int
-    measured: Float[np.ndarray, "starts steps 18"]
-    before: Float[np.ndarray, "starts steps 18"]
-    after: Float[np.ndarray, "starts steps 18"]
-    noise: Float[np.ndarray, "18"]
+    measured: Float[np.ndarray, "starts steps channels"]
+    before: Float[np.ndarray, "starts steps channels"]
+    after: Float[np.ndarray, "starts steps channels"]
+    noise: Float[np.ndarray, " channels"]
     log: str = ""
-    band: Float[np.ndarray, "ahead 18"] | None = None
+    band: Float[np.ndarray, "ahead channels"] | None = None
 
     @property
     def held(self) -> float | None:

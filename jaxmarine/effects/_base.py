@@ -127,8 +127,8 @@ class Motion(eqx.Module):
 
     - `position` [m] NED, `rotation` body to world, `nu` over ground, `nu_r` relative to the water,
       `t` [s] the log's own time, `command` what each actuator but the sliding mass was told.
-    - `lagged`: `nu_r` passed through the first-order lag of fluid memory; of use to that effect alone, as it
-      may be zero where none of these has a gain.
+    - `lagged`: `nu_r` passed through the first-order lag of a fluid memory; of use to that effect alone, each
+      of which has its own, and zero where none of these has a gain.
     """
 
     position: Vector3

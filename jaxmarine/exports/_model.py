@@ -3,9 +3,9 @@
     state = (x y z, quaternion w x y z, u v w p q r, memory, slow actuators, offset and rate of the slider)
 
 Positions are north-east-down [m], the rest body axes at `o`, SI units and radians. `memory` is the velocity
-through the water as fluid memory lags it (6 numbers, or none); slow actuators are those with a lag or a
-limited rate, in thrust [N], shaft speed [rev/s] or angle [rad]. All effects act, from the beginning; sensors
-show what is.
+through the water as fluid memory lags it (6 numbers for each, or none); slow actuators are those with a lag
+or a limited rate, in thrust [N], shaft speed [rev/s] or angle [rad]. All effects act, from the beginning;
+sensors show what is.
 """
 
 import equinox as eqx
@@ -59,7 +59,11 @@ class Model(eqx.Module):
     @property
     def state_names(self) -> tuple[str, ...]:
         """What each number of the state is."""
-        memory = tuple(f"memory_{name}" for name in VELOCITY + RATE) if self.plant.has_memory else ()
+        memory = tuple(
+            f"memory{number if number > 1 else ''}_{name}"
+            for number, _ in enumerate(self.plant.memories, start=1)
+            for name in VELOCITY + RATE
+        )
         slow = tuple(f"actual_{self.columns[i]}" for i in self.slow)
         slider = (
             ()
@@ -70,7 +74,7 @@ class Model(eqx.Module):
 
     def start(self, position: Vector3, attitude: Vector3, velocity: Velocity, command: Command) -> Flat:
         """The state at a position [m], roll, pitch, yaw [rad] and velocity; the command has acted long."""
-        memory = jnp.zeros(6 if self.plant.has_memory else 0)
+        memory = jnp.zeros(6 * len(self.plant.memories))
         slow = self.asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
         parts = [position, from_euler(attitude), velocity, memory, slow]
         if self.plant.slider is not None:
@@ -123,7 +127,7 @@ class Model(eqx.Module):
 
     def _parts(self, state: Flat) -> tuple[State, Array, Array]:
         """The vehicle's state, that of slow actuators, and that of the slider."""
-        ends = 13 + 6 * self.plant.has_memory
+        ends = 13 + 6 * len(self.plant.memories)
         now = State(state[:3], state[3:7], state[7:13], state[13:ends])
         return now, state[ends : ends + len(self.slow)], state[ends + len(self.slow) :]
 

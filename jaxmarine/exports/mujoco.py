@@ -82,7 +82,7 @@ def _passive(
     """What acts at `o` beside the weight [N, N m], so that the rigid body moves as the vehicle does."""
     plant = model.plant
     attitude, nu = state[3:7], state[7:13]
-    memory = plant.relative(attitude, nu) if plant.has_memory else jnp.zeros(0)
+    memory = plant.for_each_memory(plant.relative(attitude, nu)) if plant.has_memory else jnp.zeros(0)
     now = State(state[:3], attitude, nu, memory)
     goal = model.asked(command, jnp.ones(())).goal[0]
     nu_dot = plant.acceleration(now, Input(goal, command, jnp.zeros(6), t))

@@ -1,5 +1,8 @@
 """From logs to parameters: windows, their linearisation, and the solvers on it."""
 
+from ._affine import (
+    Affine as Affine,
+)
 from ._check import (
     AxisCheck as AxisCheck,
 )
@@ -67,9 +70,6 @@ from ._least_squares import (
 from ._levenberg_marquardt import Restarts as Restarts
 from ._levenberg_marquardt import fit_samples as fit_samples
 from ._levenberg_marquardt import levenberg_marquardt as levenberg_marquardt
-from ._linearise import (
-    Affine as Affine,
-)
 from ._linearise import (
     Statistics as Statistics,
 )

@@ -183,7 +183,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     count = len(freed.names)
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
     task = window_task(freed, units, data, acting, split, False)
-    estimated = np.isfinite(noise) & np.isnan(vehicle.stated_noise)
+    estimated = np.isfinite(noise) & ~vehicle.states_noise(len(noise))
     weighed = _Weighed(task, estimated, logs[0].dt)
     begin = jnp.zeros(count), jnp.zeros((data.windows.count, 12))
     # As roughly as a fit solves before it weighs, where other weights follow.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .._types import CHANNELS, DOFS
+from .._types import ACCELERATIONS, ALL_CHANNELS, DOFS
 from ..logs import Log, smooth_states
 
 # Of the range of a velocity, for the time spent in each.
@@ -62,6 +62,6 @@ def coverage(logs: Sequence[Log], dof: Sequence[str]) -> tuple[AxisCoverage, ...
 def acceleration_of(log: Log, nu: np.ndarray) -> np.ndarray:
     """nu' [times, 6]: samples of a measured channel (NaN in gaps), else the slope of `nu`."""
     slope = np.gradient(nu, log.t, axis=0)
-    measured = log.channels[:, 12:]
-    seen = np.isin(CHANNELS[12:], log.measured)
+    measured = log.channels[:, ACCELERATIONS]
+    seen = np.isin(ALL_CHANNELS[ACCELERATIONS], log.measured)
     return np.where(seen, measured, slope)

@@ -82,7 +82,7 @@ def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
 
     def needed(position, attitude, nu, nu_dot, t):
-        state = State(position, from_euler(attitude), nu, jnp.zeros(6 if plant.has_memory else 0))
+        state = State(position, from_euler(attitude), nu, jnp.zeros(6 * len(plant.memories)))
         still = jnp.zeros(commands.shape[1])
         # What the others give at rest and zero speed of shafts is theirs, not the hull's.
         rest = plant.balance(state, nu_dot, Input(still, still, jnp.zeros(6), t))

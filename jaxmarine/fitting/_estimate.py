@@ -52,8 +52,8 @@ class Estimate:
       was fitted; `weighed_chi2`: what was minimised, NaN where that is the same.
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `rejected`: times at which windows begin that were left out [s].
-    - `weighed` [18]: factors of the sensors' noise that channels were weighed with in the end; `left` [18]:
-      root mean square of what the model leaves in each, in units of that noise, NaN where not measured.
+    - `weighed` [channels]: factors of the sensors' noise that channels were weighed with in the end; `left`
+      [channels]: root mean square of what the model leaves in each, in units of it, NaN: not measured.
     - `worst`: in words, where the model misses most.
     """
 
@@ -67,9 +67,9 @@ class Estimate:
     steps: int
     converged: bool
     result: str
+    weighed: Float[np.ndarray, " channels"]
+    left: Float[np.ndarray, " channels"]
     rejected: Float[np.ndarray, " rejected"] = dataclasses.field(default_factory=lambda: np.zeros(0))
-    weighed: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.ones(18))
-    left: Float[np.ndarray, "18"] = dataclasses.field(default_factory=lambda: np.full(18, np.nan))
     worst: str = ""
     weighed_chi2: float = np.nan
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._angles import ANGLES
+from .._types import STATE
 from ..logs import Log
 
 # Samples of the past that a command is predicted from, and parts that are left out in turn.
@@ -31,10 +32,10 @@ def answers(log: Log) -> bool:
         return False
     given = np.asarray(log.wrench if log.commands is None else log.commands, float)
     new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
-    seen = log.channels[:, :12].copy()
+    seen = log.channels[:, STATE].copy()
     measured = np.isfinite(seen).mean(axis=0) > 0.5
     seen = seen[:, measured]
-    for i in np.flatnonzero(ANGLES[:12][measured]):
+    for i in np.flatnonzero(ANGLES[STATE][measured]):
         # A heading that jumps by a turn has not changed.
         here = np.isfinite(seen[:, i])
         seen[here, i] = np.unwrap(seen[here, i])

@@ -33,10 +33,12 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import optimize
 
 from .._compiled import compiled
+from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
-from ._linearise import BATCH, Affine, Rows, added, of_filled, swept
+from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
+from ._rows import Rows
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.

@@ -10,13 +10,13 @@ from jaxtyping import Float, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
-from .._types import DOFS
+from .._types import ALWAYS, DOFS
 from ..logs import Log, merged
 from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
-from ._noise import median_noise, noises_of, tell_missed
+from ._noise import median_noise, noises_of, tell_missed, widened
 from ._one_step import fit_one_step
 from ._review import reviewed
 from ._shares import AbstractShares, fit_shares
@@ -46,12 +46,12 @@ class Fit:
       not determine.
     - `reduced_chi2`: chi-square per degree of freedom in units of `noise`; 1 where noise alone is left. For
       the one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
-    - `left` [18]: root mean square error that the model leaves in each channel over a window, NaN where it
-      was not measured; `weighed` [18]: standard deviations that the channels counted by in the end, which are
+    - `left` [channels]: root mean square error that the model leaves in each channel over a window, NaN where
+      it was not measured; `weighed` [channels]: standard deviations that they counted by at last, which are
       `noise` where that is all that is left, and larger where it is not (trajectory loss).
     - `steps`, `converged`, `result`: how the solve ended, in words.
     - `coverage`: the motion that the fit has seen, per free axis.
-    - `loss`, `window` [s], `noise` [18]: settings that it was made with.
+    - `loss`, `window` [s], `noise` [channels]: settings that it was made with.
     - `rejected`: times at which windows begin that were left out [s, of their log].
     - `notes`: what was found in the logs, accidents that were left out and clocks that differ.
     """
@@ -66,9 +66,9 @@ class Fit:
     coverage: tuple[AxisCoverage, ...]
     loss: str
     window: float
-    noise: Float[np.ndarray, "18"]
-    left: Float[np.ndarray, "18"]
-    weighed: Float[np.ndarray, "18"]
+    noise: Float[np.ndarray, " channels"]
+    left: Float[np.ndarray, " channels"]
+    weighed: Float[np.ndarray, " channels"]
     rejected: Float[np.ndarray, " rejected"]
     notes: tuple[str, ...]
 
@@ -111,7 +111,7 @@ def fit(
     window: float = 4.0,
     max_steps: int = 100,
     throw: bool = True,
-    noise: Float[np.ndarray, "18"] | None = None,
+    noise: Float[np.ndarray, " channels"] | None = None,
 ) -> Fit:
     r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt.
 
@@ -179,9 +179,11 @@ def fit(
     names = [log.name for log in logs] + [name for look in looks for name in look["names"]]
     weigh = noise is None
     if noise is None:
-        noise = median_noise(
-            np.concatenate([look["noise"] for look in looks]) if looks else noises_of(vehicle, logs), names
-        )
+        each = [look["noise"] for look in looks] or [noises_of(vehicle, logs)]
+        width = max(one.shape[1] for one in each)
+        noise = median_noise(np.concatenate([widened(one, width) for one in each]), names)
+    # Channels that a given one does not tell are not to be used.
+    noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
     freed, scales = set_free(vehicle, free, prior, entries, dissipative, spreads=dict(vehicle.prior))
     z_units = units(freed, scales)
     held = starts == "measured"

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from .._compiled import compiled
-from .._types import ATTITUDE, CHANNELS, RATE
+from .._types import ALL_CHANNELS, ATTITUDE, MOTION, POSES, RATE
 from ..effects import (
     CompassDeviation,
     Readings,
@@ -84,7 +84,7 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     size = max(2, round(SPAN / float(np.median([log.dt for log in logs]))))
     for log in logs:
         channels = _bridged(log)
-        poses = np.where(still, 0.0, channels[:, :6])
+        poses = np.where(still, 0.0, channels[:, POSES])
         there = np.asarray(np.isfinite(poses).all(axis=1))
         turns = matrices_of(np.where(there[:, None], poses, 0.0)[:, 3:])
         rows = np.arange(0, len(log.t) - size, size)[:, None] + np.arange(size + 1)
@@ -96,7 +96,7 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
         turned = np.swapaxes(turns[rows[:, 0]], 1, 2) @ turns[rows[:, -1]]
         rate = Rotation.from_matrix(turned).as_rotvec() / span[:, None] if len(at) else np.zeros((0, 3))
         nu = np.concatenate([velocity, np.repeat(rate[:, None], size + 1, axis=1)], axis=2)
-        logged = np.where(locked, np.nan, channels[rows, 6:12].mean(axis=1))
+        logged = np.where(locked, np.nan, channels[rows, MOTION].mean(axis=1))
         parts.append((turns[rows], nu, logged, span, before + at))
         before += len(log.t)
     if sum(len(at) for *_, at in parts) < FEWEST:
@@ -104,10 +104,10 @@ def kinematics(vehicle: Vehicle, logs: Sequence[Log]) -> Kinematics | None:
     return Kinematics(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _bridged(log: Log) -> Float[np.ndarray, "times 18"]:
+def _bridged(log: Log) -> Float[np.ndarray, "times channels"]:
     """The channels, also between samples of one that is measured less often than there are rows."""
     out = np.array(log.channels)
-    for name, column in zip(CHANNELS, out.T, strict=True):
+    for name, column in zip(ALL_CHANNELS[: out.shape[1]], out.T, strict=True):
         known = np.isfinite(column)
         seen, rows = np.flatnonzero(known), np.flatnonzero(~known)
         if name in ATTITUDE:
@@ -275,8 +275,8 @@ def _misreadings() -> list[tuple[str, Callable[[np.ndarray], np.ndarray], Float[
 
     one, eye = _ONES, np.eye(6)
     wrong = "has the wrong sign"
-    out = [(f"{CHANNELS[6 + i]} {wrong}", same, one - 2 * eye[i]) for i in range(6)]
-    out += [(f"{CHANNELS[i]} {wrong}", times([i], -1.0), one) for i in range(6)]
+    out = [(f"{ALL_CHANNELS[MOTION][i]} {wrong}", same, one - 2 * eye[i]) for i in range(6)]
+    out += [(f"{ALL_CHANNELS[i]} {wrong}", times([i], -1.0), one) for i in range(6)]
     # Rates of Euler angles have their signs together.
     out += [
         (f"{angle} and {rate} have the wrong sign", times([3 + i], -1.0), one - 2 * eye[3 + i])
@@ -317,7 +317,7 @@ def misread(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[str, float] | None:
     return ", or ".join(words for words, evidence in found if best - evidence < CLOSE), best
 
 
-def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray, "18"]) -> str | None:
+def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray, " channels"]) -> str | None:
     """A sentence on velocities that positions and attitude contradict, None where they agree.
 
     - `vehicle`: with its sensor effects, as found; `noise`: standard deviation of each channel, NaN where
@@ -343,8 +343,8 @@ def disagreement(vehicle: Vehicle, logs: Sequence[Log], noise: Float[np.ndarray,
     if not bad.size:
         return None
     return (
-        f"{', '.join(CHANNELS[6 + i] for i in bad)} contradict what positions and attitude show, whatever "
-        "forces act: check units, signs and frames of the sensors."
+        f"{', '.join(ALL_CHANNELS[MOTION][i] for i in bad)} contradict what positions and attitude show, "
+        "whatever forces act: check units, signs and frames of the sensors."
     )
 
 
@@ -402,16 +402,16 @@ def _apart(
     seen: Kinematics | None,
     effects: Sequence[SensorEffect],
     logs: Sequence[Log],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
 ) -> _Apart:
     if seen is None:
         return _Apart(np.zeros(6), np.zeros(6), 0.0)
     shown = _shown(seen, effects)
     duration = sum(log.duration for log in logs)
-    measured = sum(np.isfinite(log.channels[:, 6:12]).sum(axis=0) for log in logs)
+    measured = sum(np.isfinite(log.channels[:, MOTION]).sum(axis=0) for log in logs)
     # Of a mean over a stretch, and of the difference of its ends.
     samples = np.maximum(measured * SPAN / duration, 1.0)
-    expected = np.sqrt(noise[6:12] ** 2 / samples + 2 * (noise[:6] / SPAN) ** 2)
+    expected = np.sqrt(noise[MOTION] ** 2 / samples + 2 * (noise[POSES] / SPAN) ** 2)
     known = np.isfinite(seen.logged) & np.isfinite(expected)
     error = np.where(known, seen.logged - shown, 0.0)
     scaled = error / np.where(np.isfinite(expected), expected, 1.0)

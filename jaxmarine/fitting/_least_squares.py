@@ -132,7 +132,7 @@ def least_squares(
     window: float = 4.0,
     bootstrap: int = 0,
     key: PRNGKeyArray | None = None,
-    noise: Float[np.ndarray, "18"] | None = None,
+    noise: Float[np.ndarray, " channels"] | None = None,
 ) -> LeastSquares:
     """Fits what enters the inverse dynamics linearly, in one linear solve per weighting.
 

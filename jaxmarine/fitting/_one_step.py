@@ -16,7 +16,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from ..logs import Log, smooth_states
+from .._types import ACCELERATIONS, MOTION, STATE
+from ..logs import Log, alike, smooth_states
 from ..physics import apply, from_euler
 from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
@@ -96,16 +97,19 @@ class OneStep(eqx.Module):
         return eqx.tree_at(lambda s: s.samples.weight, self, new)
 
 
-def one_step(freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, "18"]) -> OneStep:
+def one_step(
+    freed: Freed, units: Units, logs: Sequence[Log], noise: Float[np.ndarray, " channels"]
+) -> OneStep:
     """The one-step problem of logs; each axis weighs by the spread of its own acceleration.
 
     Accelerations are differentiated on all axes where one of them was not measured in some log: a measured
     one goes with the force at its sample, the others with the mean about it.
     """
     free = np.array(freed.vehicle.free > 0, dtype=bool)
-    measured = [np.isfinite((log.channels / noise)[:, 12:]).any(axis=0) for log in logs]
+    logs = alike(logs, len(noise))
+    measured = [np.isfinite((log.channels / noise)[:, ACCELERATIONS]).any(axis=0) for log in logs]
     instant = all(bool(np.all(of_log | ~free)) for of_log in measured)
-    used = np.isfinite(noise) & (instant | (np.arange(len(noise)) < 12))
+    used = np.isfinite(noise) & (instant | (np.arange(len(noise)) < STATE.stop))
     logs = [dataclasses.replace(log, channels=np.where(used, log.channels, np.nan)) for log in logs]
     vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
     # Windows play no part here; four in each log leave the two that a cut asks for.
@@ -136,21 +140,22 @@ def _samples(
     for log in logs:
         track = smooth_states(log, dof)
         guess = np.concatenate([track.position, track.attitude, track.nu], axis=1)
-        seen = np.isfinite(log.channels[:, :12]) & np.tile(moving, 2)
-        motion = np.where(seen, log.channels[:, :12], guess)
+        state = log.channels[:, STATE]
+        seen = np.isfinite(state) & np.tile(moving, 2)
+        motion = np.where(seen, state, guess)
         acceleration = acceleration_of(log, track.nu)
         known = np.isfinite(acceleration) & moving
         row = np.concatenate([motion, np.where(known, acceleration, 0.0), known], axis=1)
         rows.append(np.pad(row, [(0, steps - len(row)), (0, 0)]))
     table = np.array(rows)
-    known = table[..., 18:] > 0
-    spread = [table[..., 12 + i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)]
+    acceleration, known = table[..., ACCELERATIONS], table[..., ACCELERATIONS.stop :] > 0
+    spread = [acceleration[..., i][known[..., i]].std() if known[..., i].any() else 1.0 for i in range(6)]
     weight = known / np.where(np.array(spread) > 0, spread, 1.0)
     return Samples(
         position=jnp.asarray(table[..., :3]),
         attitude=jax.vmap(jax.vmap(from_euler))(jnp.asarray(table[..., 3:6])),
-        velocity=jnp.asarray(table[..., 6:12]),
-        acceleration=jnp.asarray(table[..., 12:18]),
+        velocity=jnp.asarray(table[..., MOTION]),
+        acceleration=jnp.asarray(acceleration),
         weight=jnp.asarray(weight),
         instant=instant,
     )
@@ -193,7 +198,7 @@ def fit_one_step(
     freed: Freed,
     units: Units,
     logs: Sequence[Log],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
     window: float,
     max_steps: int,
 ) -> Estimate:
@@ -224,6 +229,7 @@ def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> E
         j, r = slope[own].reshape(-1, len(z)), residual[own].ravel()
         scores[g], information[g] = j.T @ r, j.T @ j
     chi2 = float((residual**2).sum())
+    nothing = np.full(task.problem.width, np.nan)
     return Estimate(
         z=z,
         raw=np.asarray(task.start) + np.asarray(task.map) @ z,
@@ -235,4 +241,6 @@ def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> E
         steps=steps,
         converged=bool(result == optx.RESULTS.successful) and bool(np.isfinite(chi2)),
         result=optx.RESULTS[result] or "converged",
+        weighed=np.ones_like(nothing),
+        left=nothing,
     )

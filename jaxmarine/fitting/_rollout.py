@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
+from .._types import JUMPS, MOTION
 from ..physics import Drive, Late, Slide, Thrust, delayed, lagging, late
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
@@ -59,8 +60,13 @@ class Problem(eqx.Module):
 
     @property
     def accelerations(self) -> bool:
-        """Whether any are measured."""
-        return max(self.channels, default=0) >= 12
+        """Whether any are measured, or what only they tell."""
+        return any(JUMPS[channel] for channel in self.channels)
+
+    @property
+    def width(self) -> int:
+        """How many channels the windows have a place for."""
+        return self.windows.measured.shape[-1]
 
 
 def measured_channels(windows: Windows) -> tuple[int, ...]:
@@ -76,9 +82,9 @@ def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
     return np.where(np.array(moves) > 0, LOOSE, TIGHT) ** -2.0
 
 
-def wrapped(error: Float[Array | np.ndarray, "*steps 18"]) -> Array:
+def wrapped(error: Float[Array | np.ndarray, "*steps channels"]) -> Array:
     """Differences of channels, those of angles the short way round."""
-    return jnp.where(ANGLES, wrap_to_pi(jnp.asarray(error)), error)
+    return jnp.where(ANGLES[: error.shape[-1]], wrap_to_pi(jnp.asarray(error)), error)
 
 
 def of_segment(tree, index):
@@ -133,7 +139,7 @@ def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Arra
 
     def shown(nu):
         state = State(jnp.zeros(3), attitude, nu, jnp.zeros(0))
-        return plant.readings(state, jnp.zeros(6))[6:12]
+        return plant.readings(state, jnp.zeros(6))[MOTION]
 
     slope = jax.jacfwd(shown)(jnp.zeros(6))
     rest = logged - shown(jnp.zeros(6))
@@ -142,7 +148,7 @@ def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Arra
 
 
 def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool = True):
-    """Fluid memory of the logged motion and its slope per lag, each [logs, steps, 6], or 0 columns.
+    """Fluid memory of the logged motion and its slope per lag, each [logs, steps, memory] as `State.memory`.
 
     The smoothed log drives it, without the errors that the plants' sensors have put into its velocity. Zeros
     where it is not `asked` for, as it pushes nothing and nobody wants its slopes.
@@ -179,10 +185,10 @@ def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool 
         )
         relative = jax.lax.map(lambda block: jax.vmap(through_water)(*block), logged)
         relative = joined(relative, records.t.size).reshape(*records.t.shape, 6)
-        of_lags = functools.partial(filtered, jax.lax.stop_gradient(relative))
+        of_lags = functools.partial(filtered, plants.for_each_memory(jax.lax.stop_gradient(relative)))
         return jax.jvp(of_lags, (lags,), (jnp.ones_like(lags),))
 
-    nothing = jnp.zeros((*records.t.shape, 6))
+    nothing = jnp.zeros((*records.t.shape, lags.shape[1]))
     return jax.lax.cond(asked, driven, lambda: (nothing, nothing))
 
 
@@ -242,7 +248,7 @@ def roll_out(problem: Problem, plants: Plant, track: Track, start: State, follow
 
 @compiled
 def predict(problem: Problem, theta, delta):
-    """Predicted channels of every window [windows, steps, 18] and the residuals, weighted.
+    """Predicted channels of every window [windows, steps, channels] and the residuals, weighted.
 
     - `theta` [segments, parameters]; `delta` [windows, 12]: changes of the initial states (`State.moved`).
     """
@@ -256,7 +262,7 @@ def predict(problem: Problem, theta, delta):
 
         def show(state, drive, segment):
             plant = of_segment(plants, segment)
-            return plant.readings(state, plant.acceleration(state, drive))
+            return plant.readings(state, plant.acceleration(state, drive), problem.width)
 
         shown = jax.vmap(show)(states, track.instant, track.segment)
         if plants.delay is None:

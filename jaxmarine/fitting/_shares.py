@@ -60,7 +60,7 @@ class Share:
         self.logs, self.notes = reviewed(vehicle, logs)
 
     def look(self) -> dict[str, Any]:
-        """Names, sampling [s] and noise [logs, 18] of the logs, and what is to be noted of them."""
+        """Names, sampling [s] and noise [logs, channels] of the logs, and what is to be noted of them."""
         return {
             "names": [log.name for log in self.logs],
             "dt": [log.dt for log in self.logs],
@@ -112,7 +112,7 @@ class Share:
         return float(decrease), *self._tried(z)
 
     def left(self, z: np.ndarray) -> np.ndarray:
-        """Products of what the model leaves, by lag [steps, 2, 18]."""
+        """Products of what the model leaves, by lag [steps, 2, channels]."""
         task = self.task
         self.residual = np.asarray(predict(task.problem, task.affine(jnp.asarray(z)), self.delta)[1])
         products = Products(self.residual, self.own)
@@ -169,7 +169,7 @@ def fit_shares(
     units: Units,
     shares: AbstractShares,
     looks: Sequence[dict[str, Any]],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
     window: float,
     max_steps: int,
     held: bool,
@@ -211,7 +211,7 @@ def _solved(
 ) -> Estimate:
     """Solves with weights that the solution confirms, as in one process (`_trajectory`)."""
     begun = shares.ask("begin", freed, units, split, held)
-    most = largest_of(*np.sum(begun, axis=0)) if weigh else np.ones(18)
+    most = largest_of(*np.sum(begun, axis=0)) if weigh else np.ones(len(begun[0][0]))
     factor, last, steps, weighings = most, not weigh, 0, 0
     while True:
         weighings += 1

@@ -14,8 +14,9 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from .._compiled import compiled
+from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise
-from ._linearise import Affine, Statistics, linearise
+from ._linearise import Statistics, linearise
 from ._rollout import Problem
 
 # Damping of the initial states, as a share of that of the parameters.
@@ -34,7 +35,7 @@ class Task(eqx.Module):
     affine: Affine
     precision: Float[Array, " z"]
 
-    def weighed(self, weight: Float[Array | np.ndarray, "windows steps 18"]) -> "Task":
+    def weighed(self, weight: Float[Array | np.ndarray, "windows steps channels"]) -> "Task":
         """The task with other weights of what was measured."""
         return eqx.tree_at(lambda t: t.problem.windows.weight, self, jnp.asarray(weight))
 

@@ -8,13 +8,14 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS
 from ..logs import Log
 from ..simulation import gates, substeps
 from ..vehicle import Vehicle
+from ._affine import Affine
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._linearise import Affine, Statistics
+from ._linearise import Statistics
 from ._rollout import Problem, measured_channels, predict, start_precision
 from ._solver import Refined, Task, refine_windows
 from ._weights import largest, overdispersion, scaled, settled
@@ -69,7 +70,7 @@ def fit_trajectory(
     freed: Freed,
     units: Units,
     logs: Sequence[Log],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
     window: float,
     max_steps: int,
     held: bool,
@@ -118,9 +119,9 @@ class _Solved:
 
     task: Task
     refined: Refined
-    factor: Float[np.ndarray, "18"]
+    factor: Float[np.ndarray, " channels"]
     steps: int
-    residual: Float[np.ndarray, "windows steps 18"]
+    residual: Float[np.ndarray, "windows steps channels"]
 
 
 def _solved(task: Task, z, dt: float, max_steps: int, reject: bool, weigh: bool) -> _Solved:
@@ -251,7 +252,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, solved: _Solved
     )
 
 
-def _root_mean_square(residual: np.ndarray) -> Float[np.ndarray, "18"]:
+def _root_mean_square(residual: np.ndarray) -> Float[np.ndarray, " channels"]:
     """Of each channel, NaN where it was not measured."""
     count = np.isfinite(residual).sum(axis=(0, 1))
     return np.sqrt(np.where(count > 0, np.nansum(residual**2, axis=(0, 1)) / np.maximum(count, 1), np.nan))
@@ -268,7 +269,7 @@ def _worst(data: Cut, task: Task, solved: _Solved) -> str:
     error = (solved.residual * weight / np.where(used, own, 1.0)) ** 2
     error = np.where(used, np.nan_to_num(error, nan=np.inf, posinf=np.inf), 0.0)
     window = int(np.argmax(error.sum(axis=(1, 2))))
-    channel = CHANNELS[int(np.argmax(error[window].sum(axis=0)))]
+    channel = ALL_CHANNELS[int(np.argmax(error[window].sum(axis=0)))]
     log = data.logs[int(np.asarray(windows.log)[window])]
     return f"{log.name} from t = {data.starts[window]:.6g} s on, in `{channel}`"
 

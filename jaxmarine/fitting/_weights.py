@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._types import STATE
 from ._rollout import wrapped
 
 # What is first measured within this time of a window's beginning holds its start [s]: in half a second the
@@ -23,30 +24,30 @@ _SETTLED = 0.1
 
 
 def begun_at_sensors(
-    weight: Float[np.ndarray, "windows steps 18"], dt: float
-) -> Float[np.ndarray, "windows steps 18"]:
+    weight: Float[np.ndarray, "windows steps channels"], dt: float
+) -> Float[np.ndarray, "windows steps channels"]:
     """1 at the first measured sample of each channel and window, if it comes early; 0 elsewhere.
 
-    Not of accelerations: those a model misses from the first sample on.
+    Not of accelerations and what else is no state: those a model misses from the first sample on.
     """
     seen = weight > 0
     first = seen & (np.cumsum(seen, axis=1) == 1)
     first[:, 1 + int(_EARLY / dt) :] = False
-    first[..., 12:] = False
+    first[..., STATE.stop :] = False
     return first.astype(float)
 
 
 def scaled(
-    weight: Float[np.ndarray, "windows steps 18"], factor: Float[np.ndarray, "18"], dt: float
-) -> Float[np.ndarray, "windows steps 18"]:
+    weight: Float[np.ndarray, "windows steps channels"], factor: Float[np.ndarray, " channels"], dt: float
+) -> Float[np.ndarray, "windows steps channels"]:
     """The weights for noise that is raised by a factor per channel, but at the beginning of each window."""
     first = begun_at_sensors(weight, dt)
     return weight * (first + (1.0 - first) / factor)
 
 
 def changes(
-    measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
-) -> tuple[Float[np.ndarray, "18"], Float[np.ndarray, "18"]]:
+    measured: Float[np.ndarray, "windows steps channels"], weight: Float[np.ndarray, "windows steps channels"]
+) -> tuple[Float[np.ndarray, " channels"], Float[np.ndarray, " channels"]]:
     """What each channel changes by in windows, in units of its noise and squared: summed, and how many."""
     # Angles about the first sample, as they may be wrapped.
     near = np.asarray(wrapped(measured - measured[:, :1]))
@@ -55,13 +56,15 @@ def changes(
 
 
 def largest(
-    measured: Float[np.ndarray, "windows steps 18"], weight: Float[np.ndarray, "windows steps 18"]
-) -> Float[np.ndarray, "18"]:
+    measured: Float[np.ndarray, "windows steps channels"], weight: Float[np.ndarray, "windows steps channels"]
+) -> Float[np.ndarray, " channels"]:
     """Factors that raise a channel's noise to what it changes by in windows, the most it can be missed by."""
     return largest_of(*changes(measured, weight))
 
 
-def largest_of(total: Float[np.ndarray, "18"], count: Float[np.ndarray, "18"]) -> Float[np.ndarray, "18"]:
+def largest_of(
+    total: Float[np.ndarray, " channels"], count: Float[np.ndarray, " channels"]
+) -> Float[np.ndarray, " channels"]:
     """`largest` from the `changes` of all windows."""
     return np.maximum(np.sqrt(np.where(count > 0, total / np.maximum(count, 1.0), 1.0)), 1.0)
 
@@ -71,25 +74,25 @@ class Products:
 
     def __init__(
         self,
-        residual: Float[Array | np.ndarray, "windows steps 18"],
-        weight: Float[Array | np.ndarray, "windows steps 18"],
+        residual: Float[Array | np.ndarray, "windows steps channels"],
+        weight: Float[Array | np.ndarray, "windows steps channels"],
     ):
         # What ran away is not a number to go by.
         self._seen = ((np.asarray(weight) > 0) & np.isfinite(residual)).astype(float)
         self._error = np.where(self._seen > 0, np.nan_to_num(np.asarray(residual)), 0.0)
         self.steps = self._error.shape[1]
 
-    def __call__(self, lag: int) -> Float[np.ndarray, "2 18"]:
+    def __call__(self, lag: int) -> Float[np.ndarray, "2 channels"]:
         """How many pairs of samples are so far apart, and the sum of their products."""
         late, early = slice(lag, None), slice(self.steps - lag)
         return np.stack([(a[:, late] * a[:, early]).sum(axis=(0, 1)) for a in (self._seen, self._error)])
 
 
 def overdispersion(
-    residual: Float[Array | np.ndarray, "windows steps 18"],
-    weight: Float[Array | np.ndarray, "windows steps 18"],
-    most: Float[np.ndarray, "18"],
-) -> Float[np.ndarray, "18"]:
+    residual: Float[Array | np.ndarray, "windows steps channels"],
+    weight: Float[Array | np.ndarray, "windows steps channels"],
+    most: Float[np.ndarray, " channels"],
+) -> Float[np.ndarray, " channels"]:
     """Factors that raise the noise of each channel to what the model leaves in it; 1 where that is noise.
 
     - `residual`: prediction minus measured, in units of the sensors' noise; `weight`: 0 where not measured.
@@ -99,8 +102,10 @@ def overdispersion(
 
 
 def overdispersion_of(
-    products: Callable[[int], Float[np.ndarray, "2 18"]], steps: int, most: Float[np.ndarray, "18"]
-) -> Float[np.ndarray, "18"]:
+    products: Callable[[int], Float[np.ndarray, "2 channels"]],
+    steps: int,
+    most: Float[np.ndarray, " channels"],
+) -> Float[np.ndarray, " channels"]:
     r"""`overdispersion` from the `Products` of all windows, by lag; each window has so many `steps`.
 
     The root mean square, no more than `most` (a channel that is missed would else be missed the more), times

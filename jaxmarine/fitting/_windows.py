@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._errors import InputError
-from ..logs import Log, quaternions_of, smooth_states
+from .._types import AXES
+from ..logs import Log, StateTrack, alike, quaternions_of, smooth_states
 from ..vehicle import Vehicle
 
 
@@ -40,8 +41,8 @@ class Windows(eqx.Module):
 
     log: Int[Array, " windows"]
     step: Int[Array, "windows steps"]
-    measured: Float[Array, "windows steps 18"]
-    weight: Float[Array, "windows steps 18"]
+    measured: Float[Array, "windows steps channels"]
+    weight: Float[Array, "windows steps channels"]
     position: Float[Array, "windows 3"]
     attitude: Float[Array, "windows 4"]
     velocity: Float[Array, "windows 6"]
@@ -128,7 +129,7 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
 def cut(
     vehicle: Vehicle,
     logs: Sequence[Log],
-    noise: Float[np.ndarray, "18"],
+    noise: Float[np.ndarray, " channels"],
     length: float,
     stride: float | None = None,
     segments: Sequence[np.ndarray] | None = None,
@@ -139,16 +140,48 @@ def cut(
     The first begins where the thrusters have forgotten what they were told before the log. None spans a
     gap of more than five samples or touches a stretch that is left out (`Log.rejected`).
 
-    - `noise`: standard deviation per channel, NaN for channels that are not to be used.
+    - `noise`: standard deviation per channel, NaN for those not to be used, as are those beyond.
     - `segments`: per log, per sample, the index of the vehicle's plant that acts there.
     - `dt` [s]: from sample to sample, default the logs' median; that of others too where there are more.
     """
-    longest = max(len(log.t) for log in logs)
-    count = len(vehicle.command_names)
-    records = {name: [] for name in ("t", "dt", "commands", "wrench", "attitude", "velocity", "segment")}
-    parts = {name: [] for name in ("log", "step", "measured", "weight", "position", "attitude", "velocity")}
-    starts, holds = [], []
+    logs = alike(logs, len(noise))
+    noise = np.pad(noise, (0, logs[0].channels.shape[1] - len(noise)), constant_values=np.nan)
     dt = float(np.median([log.dt for log in logs])) if dt is None else dt
+    _check_sampling(logs, dt, length)
+    size = max(4, round(length / dt))
+    jump = size if stride is None else max(1, round(stride / dt))
+    longest = max(len(log.t) for log in logs)
+    records, windows, starts, holds = [], [], [], []
+    for g, log in enumerate(logs):
+        track = smooth_states(log, vehicle.dof)
+        segment = np.zeros(len(log.t), int) if segments is None else segments[g]
+        records.append(_recorded(vehicle, log, track, segment, longest))
+        begins = _begins(vehicle, log, size, jump, 5.5 * dt)
+        seen = _weighed(vehicle, log, track, noise)
+        windows.append(_window_parts(g, begins, size, track, *seen))
+        starts.append(log.t[begins])
+        holds += [float(np.diff(log.t[first : first + size]).max()) for first in begins]
+    if len(holds) < 2:
+        names = ", ".join(log.name for log in logs)
+        raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")
+    of_all = {name: np.concatenate([parts[name] for parts in windows]) for name in windows[0]}
+    of_all["attitude"] = quaternions_of(of_all["attitude"])
+    return Cut(
+        logs=logs,
+        records=Records(
+            **{name: jnp.asarray(np.stack([parts[name] for parts in records])) for name in records[0]}
+        ),
+        windows=Windows(**{name: jnp.asarray(values) for name, values in of_all.items()}),
+        starts=np.concatenate(starts),
+        length=length,
+        dof=vehicle.dof,
+        # Stamps of an even log are rounded.
+        hold=max(holds) if max(holds) > 1.01 * dt else dt,
+    )
+
+
+def _check_sampling(logs: Sequence[Log], dt: float, length: float) -> None:
+    """All about as fast as every `dt` seconds, and that fast enough for windows of this length [s]."""
     for log in logs:
         if not 0.8 < log.dt / dt < 1.25:
             raise InputError(
@@ -159,72 +192,76 @@ def cut(
             f"{logs[0].name}: has a sample every {dt:g} s, too few for windows of {length:g} s; give t in "
             "seconds, or take a log that is sampled faster."
         )
-    size = max(4, round(length / dt))
-    jump = size if stride is None else max(1, round(stride / dt))
-    free = np.concatenate([vehicle.free] * 3).astype(bool)
 
-    for g, log in enumerate(logs):
-        track = smooth_states(log, vehicle.dof)
-        t = log.t
-        short = longest - len(t)
-        steps = np.diff(t, append=2 * t[-1] - t[-2])
 
-        def pad(values, short=short):
-            return np.pad(values, [(0, short)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+def _recorded(
+    vehicle: Vehicle, log: Log, track: StateTrack, segment: np.ndarray, longest: int
+) -> dict[str, np.ndarray]:
+    """One log's row of all `Records`, padded to so many samples."""
+    t, short = log.t, longest - len(log.t)
+    steps = np.diff(t, append=2 * t[-1] - t[-2])
 
-        tail = t[-1] + steps[-1] * np.arange(1, short + 1)
-        given = log.commanded(vehicle.command_names)
-        commands = np.zeros((len(log.t), count)) if given is None else given
-        wrench = np.zeros((len(log.t), 6)) if log.wrench is None else log.wrench
-        segment = np.zeros(len(log.t), int) if segments is None else segments[g]
-        records["t"].append(np.concatenate([t, tail]))
-        records["dt"].append(pad(steps))
-        records["commands"].append(pad(np.asarray(commands)))
-        records["wrench"].append(pad(np.asarray(wrench)))
-        records["attitude"].append(pad(quaternions_of(track.attitude)))
-        records["velocity"].append(pad(track.nu))
-        records["segment"].append(pad(segment))
+    def pad(values):
+        return np.pad(values, [(0, short)] + [(0, 0)] * (values.ndim - 1), mode="edge")
 
-        usable = np.isfinite(log.channels) & np.isfinite(noise) & free
-        weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
-        # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
-        steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
-        weight[steep, 3] = weight[steep, 5] = 0.0
-        measured = np.where(usable, log.channels, 0.0)
-        for first in range(_settled(vehicle, log), len(log.t) - size + 1, jump):
-            here = slice(first, first + size)
-            begin, *_, end = t[here]
-            hold = float(np.diff(t[here]).max())
-            if hold > 5.5 * dt:
-                continue
-            if any(one.start <= end and begin <= one.end for one in log.rejected):
-                continue
-            parts["log"].append(g)
-            parts["step"].append(np.arange(first, first + size))
-            parts["measured"].append(measured[here])
-            parts["weight"].append(weight[here])
-            parts["position"].append(track.position[first])
-            parts["attitude"].append(track.attitude[first])
-            parts["velocity"].append(track.nu[first])
-            starts.append(log.t[first])
-            holds.append(hold)
-    if len(starts) < 2:
-        names = ", ".join(log.name for log in logs)
-        raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")
-    attitude = np.array(parts.pop("attitude"))
-    return Cut(
-        logs=tuple(logs),
-        records=Records(**{name: jnp.asarray(np.array(value)) for name, value in records.items()}),
-        windows=Windows(
-            attitude=jnp.asarray(quaternions_of(attitude)),
-            **{name: jnp.asarray(np.array(value)) for name, value in parts.items()},
-        ),
-        starts=np.array(starts),
-        length=length,
-        dof=vehicle.dof,
-        # Stamps of an even log are rounded.
-        hold=max(holds) if max(holds) > 1.01 * dt else dt,
-    )
+    given = log.commanded(vehicle.command_names)
+    commands = np.zeros((len(t), len(vehicle.command_names))) if given is None else given
+    wrench = np.zeros((len(t), 6)) if log.wrench is None else log.wrench
+    return {
+        "t": np.concatenate([t, t[-1] + steps[-1] * np.arange(1, short + 1)]),
+        "dt": pad(steps),
+        "commands": pad(np.asarray(commands)),
+        "wrench": pad(np.asarray(wrench)),
+        "attitude": pad(quaternions_of(track.attitude)),
+        "velocity": pad(track.nu),
+        "segment": pad(segment),
+    }
+
+
+def _weighed(
+    vehicle: Vehicle, log: Log, track: StateTrack, noise: Float[np.ndarray, " channels"]
+) -> tuple[Float[np.ndarray, "times channels"], Float[np.ndarray, "times channels"]]:
+    """What was measured (0: nothing, or the axis is locked), and 1 / standard deviation of its noise."""
+    free = vehicle.free[np.array(AXES[: len(noise)])].astype(bool)
+    usable = np.isfinite(log.channels) & np.isfinite(noise) & free
+    weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
+    # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
+    steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
+    weight[steep, 3] = weight[steep, 5] = 0.0
+    return np.where(usable, log.channels, 0.0), weight
+
+
+def _begins(vehicle: Vehicle, log: Log, size: int, jump: int, longest: float) -> Int[np.ndarray, " windows"]:
+    """The first samples of a log's windows, none of which has a gap of more than `longest` seconds."""
+
+    def sound(first: int) -> bool:
+        t = log.t[first : first + size]
+        left_out = any(one.start <= t[-1] and t[0] <= one.end for one in log.rejected)
+        return float(np.diff(t).max()) <= longest and not left_out
+
+    firsts = range(_settled(vehicle, log), len(log.t) - size + 1, jump)
+    return np.array([first for first in firsts if sound(first)], int)
+
+
+def _window_parts(
+    number: int,
+    begins: Int[np.ndarray, " windows"],
+    size: int,
+    track: StateTrack,
+    measured: Float[np.ndarray, "times channels"],
+    weight: Float[np.ndarray, "times channels"],
+) -> dict[str, np.ndarray]:
+    """The `Windows` of one log, by its number, their first samples and their size; Euler angles yet."""
+    step = begins[:, None] + np.arange(size)
+    return {
+        "log": np.full(len(begins), number),
+        "step": step,
+        "measured": measured[step],
+        "weight": weight[step],
+        "position": track.position[begins],
+        "attitude": track.attitude[begins],
+        "velocity": track.nu[begins],
+    }
 
 
 def split(data: Cut, parts: int) -> Windows:

@@ -11,6 +11,7 @@ from ._kinematics import smooth as smooth
 from ._log import Log as Log
 from ._log import Reason as Reason
 from ._log import Rejected as Rejected
+from ._log import alike as alike
 from ._noise import doubtful_noise as doubtful_noise
 from ._noise import estimate_noise as estimate_noise
 from ._noise import resolution as resolution

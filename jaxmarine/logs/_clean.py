@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._angles import wrap_to_pi
-from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNELS
+from .._types import ALL_CHANNELS, ATTITUDE, JUMPS
 from ._log import Log
 from ._noise import command_jumps, resolution
 from ._notes import Note, moment
@@ -66,7 +66,7 @@ def clean(log: Log) -> Log:
     if len(jumps) > _COMMANDED * len(log.t):
         jumps = jumps[:0]
     channels, notes = _without_repeats(log)
-    for index, name in enumerate(CHANNELS):
+    for index, name in enumerate(ALL_CHANNELS[: log.channels.shape[1]]):
         values = channels[:, index].copy()
         spikes, dropouts, frozen = _defects(log.t, values, name, jumps)
         count = int(np.isfinite(values).sum())
@@ -96,7 +96,7 @@ def clean(log: Log) -> Log:
     return dataclasses.replace(log, channels=channels, notes=(*log.notes, *notes))
 
 
-def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[Note]]:
+def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times channels"], list[Note]]:
     """The channels without rows that only repeat an older sample, and a note on those.
 
     Where a value commonly changes every so many rows only, it comes from a sensor so many times slower than
@@ -105,7 +105,7 @@ def _without_repeats(log: Log) -> tuple[Float[np.ndarray, "times 18"], list[Note
     """
     channels, notes = log.channels.copy(), []
     late = "{every:.2g} s, and rows in between repeat what is old by then; each sample counts once."
-    for index, name in enumerate(CHANNELS):
+    for index, name in enumerate(ALL_CHANNELS[: log.channels.shape[1]]):
         seen = np.flatnonzero(np.isfinite(log.channels[:, index]))
         values = log.channels[seen, index]
         first = np.flatnonzero(np.append(True, np.diff(values) != 0))
@@ -169,7 +169,7 @@ def _step(values: Float[np.ndarray, " seen"]) -> float:
 def _rounding(log: Log) -> list[Note]:
     """A note on each channel of which the steps are coarser than its noise."""
     notes = []
-    for index, name in enumerate(CHANNELS):
+    for index, name in enumerate(ALL_CHANNELS[: log.channels.shape[1]]):
         values = log.channels[np.isfinite(log.channels[:, index]), index]
         step = _step(values)
         if step:
@@ -202,7 +202,7 @@ def _defects(
     found does not hang on which is looked for first.
     """
     left, is_angle = values.copy(), name in ATTITUDE
-    jumping = jumps if name in ACCELERATION + ANGULAR_ACCELERATION else jumps[:0]
+    jumping = jumps if JUMPS[ALL_CHANNELS.index(name)] else jumps[:0]
     spikes, dropouts = np.zeros(len(t), bool), np.zeros(len(t), bool)
     while True:
         seen = np.flatnonzero(np.isfinite(left))

@@ -11,13 +11,14 @@ from pydantic import Field
 from .._errors import InputError
 from .._files import did_you_mean, read_toml, validated
 from .._types import (
+    ALL_CHANNELS,
     APPARENT_WIND,
     ATTITUDE,
     BATTERY,
     CHANNEL_UNITS,
-    CHANNELS,
     POSITION,
     RATE,
+    TABLE,
     VELOCITY,
     WIND,
     WRENCH,
@@ -45,6 +46,7 @@ _GROUPS = {
     "attitude": dict(zip(QUATERNION, "wxyz", strict=True)),
     "velocity": dict(zip(VELOCITY, "xyz", strict=True)),
     "rate": dict(zip(RATE, "xyz", strict=True)),
+    **{one.kind: dict(zip(one.channels, "xyz", strict=True)) for one in TABLE if one.shows},
 }
 
 # The contract's unit of each column that has one; of what is not here, commands and quaternions are numbers.
@@ -151,7 +153,7 @@ class ColumnMap(pydantic.BaseModel):
         """
         known = (
             "t",
-            *CHANNELS,
+            *ALL_CHANNELS,
             *thrusters,
             *WRENCH,
             BATTERY,

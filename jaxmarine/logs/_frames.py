@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from .._angles import wrap_to_pi
 from .._errors import InputError
-from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, POSITION, RATE, VELOCITY, WRENCH
+from .._types import ATTITUDE, POSITION, TABLE, VELOCITY, WRENCH
 from ._columns import GEODETIC, QUATERNION, Frame
 from ._euler import angles_of, turns_of
 from ._sources import Series
@@ -16,7 +16,7 @@ from ._sources import Series
 # What turns vectors of the foreign axes into ours; each is its own inverse.
 _WORLD = {"ned": np.eye(3), "enu": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])}
 _BODY = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
-_IN_BODY = (VELOCITY, RATE, ACCELERATION, ANGULAR_ACCELERATION, WRENCH[:3], WRENCH[3:])
+_IN_BODY = (*(one.channels for one in TABLE if one.in_body), WRENCH[:3], WRENCH[3:])
 
 # The ellipsoid of GPS (WGS 84): half its equator's diameter [m], and its eccentricity squared.
 _RADIUS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3

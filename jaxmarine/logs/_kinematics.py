@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import ATTITUDE, CHANNELS
+from .._types import ALL_CHANNELS, ATTITUDE
 from ._craft import free_poses
 from ._euler import matrices_of
 from ._log import Log
@@ -40,7 +40,7 @@ class Kinematics(eqx.Module):
     nu_dot: Float[np.ndarray, "times 6"]
 
 
-def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]) -> Kinematics:
+def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, " channels"]) -> Kinematics:
     """The motion from the measured position and attitude of every free degree of freedom.
 
     - `noise`: standard deviation per channel, of which those of position and attitude are used.
@@ -55,7 +55,7 @@ def differentiate(log: Log, dof: tuple[str, ...], noise: Float[np.ndarray, "18"]
             f"{log.name}: has no `{missing[0]}`; without a speed sensor, velocities come from the position "
             "and attitude of every free degree of freedom."
         )
-    places = np.array([CHANNELS.index(name) for name in wanted])
+    places = np.array([ALL_CHANNELS.index(name) for name in wanted])
     samples = log.channels[:, places].copy()
     for column, name in zip(samples.T, wanted, strict=True):
         if name in ATTITUDE:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import InputError
-from .._types import BATTERY, CHANNELS
+from .._types import ALL_CHANNELS, ALWAYS, BATTERY
 
 Reason = Literal["collision", "surfacing", "take-over"]
 
@@ -31,7 +31,8 @@ class Log(eqx.Module):
     """What was commanded and what was measured, sample by sample.
 
     - `t`: time [s], strictly increasing.
-    - `channels`: measurements in the order of `CHANNELS`, SI units and radians; NaN where missing.
+    - `channels`: measurements in the order of `ALL_CHANNELS`, SI units and radians; NaN where missing. The
+      first `ALWAYS` are those of every log; others have columns where they or later ones were measured.
     - `commands`: one column per thruster and, behind them, the sliding mass, in the order of
       `command_names`; held until the next sample.
     - `wrench`: applied control wrench X Y Z K M N at `o`, body axes [N, N m]; held likewise.
@@ -43,7 +44,7 @@ class Log(eqx.Module):
     """
 
     t: Float[np.ndarray, " times"]
-    channels: Float[np.ndarray, "times 18"]
+    channels: Float[np.ndarray, "times channels"]
     commands: Float[np.ndarray, "times columns"] | None
     wrench: Float[np.ndarray, "times 6"] | None
     command_names: tuple[str, ...] = eqx.field(static=True)
@@ -54,9 +55,11 @@ class Log(eqx.Module):
 
     def __check_init__(self):
         times = len(self.t)
-        if self.channels.shape != (times, len(CHANNELS)):
+        widths = range(ALWAYS, len(ALL_CHANNELS) + 1, 3)
+        if self.channels.shape not in {(times, width) for width in widths}:
+            columns = " or ".join(map(str, widths))
             raise ValueError(
-                f"Argument `channels` must be ({times}, {len(CHANNELS)}), but is {self.channels.shape}."
+                f"Argument `channels` must be ({times}, {columns}), but is {self.channels.shape}."
             )
         if (self.commands is None) == (self.wrench is None):
             raise ValueError("Exactly one of `commands` and `wrench` must be given.")
@@ -86,7 +89,8 @@ class Log(eqx.Module):
     @property
     def measured(self) -> tuple[str, ...]:
         """Names of the channels with at least one sample."""
-        return tuple(np.array(CHANNELS)[np.isfinite(self.channels).any(axis=0)].tolist())
+        names = np.array(ALL_CHANNELS[: self.channels.shape[1]])
+        return tuple(names[np.isfinite(self.channels).any(axis=0)].tolist())
 
     def commanded(self, names: Sequence[str]) -> Float[np.ndarray, "times columns"] | None:
         """The commands of a vehicle with these columns, which may ask for the voltage of the battery too."""
@@ -122,3 +126,17 @@ class Log(eqx.Module):
             rejected=tuple(one for one in self.rejected if one.start < t1 and one.end >= t0),
             battery=None if self.battery is None else self.battery[inside],
         )
+
+
+def alike(logs: Sequence[Log], width: int = ALWAYS) -> tuple[Log, ...]:
+    """The logs with as many channels each as the one with most has, and no fewer than `width`."""
+    width = max([width, *(log.channels.shape[1] for log in logs)])
+
+    def widened(log: Log) -> Log:
+        short = width - log.channels.shape[1]
+        if not short:
+            return log
+        channels = np.pad(log.channels, [(0, 0), (0, short)], constant_values=np.nan)
+        return dataclasses.replace(log, channels=channels)
+
+    return tuple(map(widened, logs))

@@ -11,7 +11,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import did_you_mean, listed
-from .._types import CHANNELS, WRENCH
+from .._types import ALL_CHANNELS, WRENCH
 from ._columns import ColumnMap, ColumnSource, replaced
 from ._craft import Craft, beside, free_poses, free_velocities
 from ._frames import in_our_axes
@@ -171,7 +171,7 @@ def _of_table(
     # A file's column that the map claims does not serve under its own name as well.
     claimed = {one.source for one in (mapped | clocks).values()}
     taken = claimed | {*mapped} | replaced(mapped)
-    named = dict.fromkeys(("t", *CHANNELS, *vehicle.command_names, *WRENCH, *beside(vehicle)))
+    named = dict.fromkeys(("t", *ALL_CHANNELS, *vehicle.command_names, *WRENCH, *beside(vehicle)))
     sources = mapped | _as_named(name for name in named if name in table and name not in taken)
     for name, one in sources.items():
         clock = one.clock or sources.get("t", one)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from .._types import ACCELERATION, ANGULAR_ACCELERATION, ATTITUDE, CHANNEL_UNITS, CHANNELS, SENSORS
+from .._types import ALL_CHANNELS, ALL_SENSORS, ATTITUDE, CHANNEL_UNITS, JUMPS
 from ._log import Log
 from ._notes import Note
 
@@ -22,7 +22,9 @@ _FINEST = 1e-6
 _DOUBTFUL = 3.0
 
 
-def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) -> Float[np.ndarray, "18"]:
+def sensor_noise(
+    log: Log, sensors: Mapping[str, float | None] | None = None
+) -> Float[np.ndarray, " channels"]:
     """Standard deviation of the noise of each channel; NaN where nothing is measured.
 
     `sensors` holds what the vehicle file states per kind of sensor; other kinds are estimated. A
@@ -33,7 +35,7 @@ def sensor_noise(log: Log, sensors: Mapping[str, float | None] | None = None) ->
     measured = np.isfinite(log.channels).any(axis=0)
     for kind, std in (sensors or {}).items():
         if std is not None:
-            noise[np.isin(CHANNELS, SENSORS[kind]) & measured] = std
+            noise[_of_kind(kind, len(noise)) & measured] = std
     return noise
 
 
@@ -42,12 +44,12 @@ def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[Note]:
     notes = []
     estimated = estimate_noise(log)
     for kind, stated in sensors.items():
-        found = estimated[np.isin(CHANNELS, SENSORS[kind])]
+        found = estimated[_of_kind(kind, len(estimated))]
         if stated is None or not np.isfinite(found).any():
             continue
         noise = float(np.nanmedian(found))
         if not 1 / _DOUBTFUL < noise / stated < _DOUBTFUL:
-            unit = CHANNEL_UNITS[SENSORS[kind][0]]
+            unit = CHANNEL_UNITS[ALL_SENSORS[kind][0]]
             said = (
                 f"the samples of {kind} scatter by about {{noise:.2g}} {unit}, but the vehicle file states a "
                 f"noise of {stated:.2g} {unit}, which is used; correct it under [sensors], or leave it out "
@@ -57,7 +59,12 @@ def doubtful_noise(log: Log, sensors: Mapping[str, float | None]) -> list[Note]:
     return notes
 
 
-def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
+def _of_kind(kind: str, width: int) -> Bool[np.ndarray, " channels"]:
+    """Which of the first so many channels a kind of sensor shows."""
+    return np.isin(ALL_CHANNELS[:width], ALL_SENSORS[kind])
+
+
+def estimate_noise(log: Log) -> Float[np.ndarray, " channels"]:
     """Standard deviation of what no smooth motion explains, per channel, NaN where unmeasured or constant.
 
     Each sample is compared with the polynomial through its neighbours. That residual is a divided
@@ -66,8 +73,8 @@ def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
     Noise that is correlated from one sample to the next is only seen in part.
     """
     jumps = command_jumps(log)
-    noise = np.full(len(CHANNELS), np.nan)
-    for index, name in enumerate(CHANNELS):
+    noise = np.full(log.channels.shape[1], np.nan)
+    for index, name in enumerate(ALL_CHANNELS[: len(noise)]):
         finite = np.isfinite(log.channels[:, index])
         if not finite.any():
             continue
@@ -77,7 +84,7 @@ def estimate_noise(log: Log) -> Float[np.ndarray, "18"]:
         if name in ATTITUDE:
             values = np.unwrap(values)
         # accelerations jump with the commands; everything else is continuous
-        jumping = jumps if name in ACCELERATION + ANGULAR_ACCELERATION else jumps[:0]
+        jumping = jumps if JUMPS[index] else jumps[:0]
         noise[index] = _noise(log.t[finite], values, jumping)
     return noise
 

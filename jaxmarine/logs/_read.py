@@ -10,7 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._extras import of_extra
 from .._files import listed
-from .._types import ATTITUDE, BATTERY, CHANNELS, WRENCH
+from .._types import ALL_CHANNELS, ATTITUDE, BATTERY, WRENCH, width_of
 from ._clean import clean
 from ._columns import ColumnMap, read_columns
 from ._craft import Craft, free_poses, free_velocities, free_wrench
@@ -53,10 +53,11 @@ def read_log(
         columns = read_columns(columns)
     file = open_mapped(source, vehicle, columns)
     t = _time(file)
-    channels = np.full((len(t), len(CHANNELS)), np.nan)
-    for index, name in enumerate(CHANNELS):
+    channels = np.full((len(t), len(ALL_CHANNELS)), np.nan)
+    for index, name in enumerate(ALL_CHANNELS):
         if name in file:
             channels[:, index] = file[name]
+    channels = channels[:, : width_of(np.asarray(np.isfinite(channels).any(axis=0)))]
     _check_motion(file, channels, vehicle.dof)
     add_true_wind(file, t, channels, vehicle)
     commands, wrench = _drive(file, vehicle)
@@ -94,7 +95,7 @@ def read_logs(
 def write_log(log: Log, path: str | os.PathLike[str]) -> None:
     """Write a log in the contract's columns, as CSV or Parquet by the name of `path`."""
     data = {"t": log.t}
-    data |= {name: log.channels[:, CHANNELS.index(name)] for name in log.measured}
+    data |= {name: log.channels[:, ALL_CHANNELS.index(name)] for name in log.measured}
     if log.commands is not None:
         data |= dict(zip(log.command_names, log.commands.T, strict=True))
     if log.battery is not None:
@@ -139,8 +140,8 @@ def _time(file: MappedFile) -> np.ndarray:
 def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) -> None:
     """The free degrees of freedom are seen by position with attitude, or by velocity."""
     finite = np.isfinite(channels)
-    seen = {name for index, name in enumerate(CHANNELS) if finite[:, index].any()}
-    hollow = [name for name in CHANNELS if name in file and name not in seen]
+    seen = {name for index, name in enumerate(ALL_CHANNELS[: channels.shape[1]]) if finite[:, index].any()}
+    hollow = [name for name in ALL_CHANNELS if name in file and name not in seen]
     pose, velocity = free_poses(tuple(dof)), free_velocities(tuple(dof))
     if not (seen.issuperset(pose) or seen.issuperset(velocity)):
         nearer = min(pose, velocity, key=lambda names: len(set(names) - seen))
@@ -158,7 +159,7 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
     for name in hollow:
         file.notes.append(f"Column {file.label(name)} has no value and counts as not measured.")
     for name in ATTITUDE:
-        values = channels[finite[:, CHANNELS.index(name)], CHANNELS.index(name)]
+        values = channels[finite[:, ALL_CHANNELS.index(name)], ALL_CHANNELS.index(name)]
         turns = np.count_nonzero(np.abs(np.diff(values)) > np.pi)
         if turns:
             file.notes.append(f"Column {file.label(name)} is wrapped {turns} times; it counts modulo a turn.")
@@ -167,7 +168,7 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
     for name in ATTITUDE[:2]:
         if name not in seen:
             continue
-        size = np.abs(channels[:, CHANNELS.index(name)])
+        size = np.abs(channels[:, ALL_CHANNELS.index(name)])
         if np.nanmax(size) > 2 * np.pi:
             file.notes.append(f"Column {file.label(name)} exceeds 2 pi: is it in degrees instead of radians?")
         if np.nanmedian(size) > np.pi / 2:

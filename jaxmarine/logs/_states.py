@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from .._types import ATTITUDE, CHANNELS, DOFS
+from .._types import ALL_CHANNELS, ATTITUDE, DOFS, MOTION, POSES, STATE
 from ._euler import angles_of, matrices_of, turns_of
 from ._log import Log
 
@@ -43,19 +43,19 @@ def smooth_states(log: Log, dof: Sequence[str]) -> StateTrack:
     """
     free = np.isin(DOFS, list(dof))
     half = int(np.clip(round(_HALF_WIDTH / log.dt), *_HALF_SAMPLES))
-    value = np.zeros((len(log.t), 12))
-    slope = np.zeros((len(log.t), 12))
-    seen = np.isin(CHANNELS[:12], log.measured)
+    value = np.zeros((len(log.t), STATE.stop))
+    slope = np.zeros((len(log.t), STATE.stop))
+    seen = np.isin(ALL_CHANNELS[STATE], log.measured)
     for index in np.flatnonzero(seen):
-        is_angle = CHANNELS[index] in ATTITUDE
+        is_angle = ALL_CHANNELS[index] in ATTITUDE
         samples = _without_gaps(log.t, log.channels[:, index], is_angle)
         value[:, index], slope[:, index] = _local_polynomial(log.t, samples, half)
     pose_free = np.append(reachable(free), free[3:])
-    value[:, :6] *= pose_free
-    slope[:, :6] *= pose_free
-    value[:, 6:] *= free
-    known_pose = np.logical_or(seen[:6], ~pose_free)
-    known_nu = np.logical_or(seen[6:], ~free)
+    value[:, POSES] *= pose_free
+    slope[:, POSES] *= pose_free
+    value[:, MOTION] *= free
+    known_pose = np.logical_or(seen[POSES], ~pose_free)
+    known_nu = np.logical_or(seen[MOTION], ~free)
 
     attitude = _attitude(log.t, value[:, 3:6], value[:, 9:12], known_pose[3:])
     slope[:, 3:6] = np.where(known_pose[3:], slope[:, 3:6], np.gradient(attitude, log.t, axis=0))

@@ -5,7 +5,7 @@ import pandas as pd
 
 from .._errors import InputError
 from .._files import listed
-from .._types import APPARENT_WIND, CHANNELS, WIND
+from .._types import ALL_CHANNELS, APPARENT_WIND, WIND
 from ._clean import clean
 from ._craft import Craft
 from ._euler import matrices_of
@@ -35,7 +35,7 @@ def add_true_wind(file: MappedFile, t: np.ndarray, channels: np.ndarray, vehicle
         raise InputError(
             f"{file.path}: has {listed(given)} without {listed(missing)}; add it, or give {listed(WIND)}."
         )
-    psi = CHANNELS.index("psi")
+    psi = ALL_CHANNELS.index("psi")
     if "yaw" in vehicle.dof and not np.isfinite(channels[:, psi]).any():
         raise InputError(
             f"{file.path}: lacks `psi`, without which {listed(APPARENT_WIND)} cannot be turned to north; add "

@@ -6,25 +6,27 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
-from .._types import SENSORS, Times
+from .._types import ALL_SENSORS, Times
 
-# Kinds of sensors that can be late, and which of them each channel is: accelerations stay in time, and are
-# said to be of the first.
+# Kinds of sensors that can be late, and which of them each channel is: others, such as accelerations, stay in
+# time, and are said to be of the first.
 LATE = ("position", "attitude", "velocity", "rate")
-_CAN = np.array([kind in LATE for kind, channels in SENSORS.items() for _ in channels])
-KIND = np.array([LATE.index(kind) if kind in LATE else 0 for kind, names in SENSORS.items() for _ in names])
+_CAN = np.array([kind in LATE for kind, channels in ALL_SENSORS.items() for _ in channels])
+KIND = np.array(
+    [LATE.index(kind) if kind in LATE else 0 for kind, names in ALL_SENSORS.items() for _ in names]
+)
 
 
 class Earlier:
     """Between which samples of a track the times `delay` seconds before each of them lie.
 
-    - `delay` [s]: per sample and kind of sensor, in the order of `LATE`.
+    - `delay` [s]: per sample and kind of sensor, in the order of `LATE`; `width`: how many channels.
 
     Lines between samples: at 10 Hz a craft that changes its speed by 1 m/s² leaves them by some millimetres.
     Before the first sample the first line goes on backwards.
     """
 
-    def __init__(self, t: Times, delay: Float[Array, "times kinds"]):
+    def __init__(self, t: Times, delay: Float[Array, "times kinds"], width: int):
         def one(delay):
             at = t - delay
             # At a sample the line that leads to it, so that a delay of zero has the slope of the past.
@@ -33,19 +35,22 @@ class Earlier:
             return cell, (at - t[cell]) / length, length
 
         cell, share, length = jax.vmap(one, in_axes=1, out_axes=1)(delay)
-        self._cell: Int[Array, "times 18"] = jnp.where(_CAN, cell[:, KIND], jnp.arange(len(t))[:, None])
-        self._share: Float[Array, "times 18"] = jnp.where(_CAN, share[:, KIND], 0.0)
-        self._length = length[:, KIND]
+        kind, self._can = KIND[:width], _CAN[:width]
+        self._cell: Int[Array, "times channels"] = jnp.where(
+            self._can, cell[:, kind], jnp.arange(len(t))[:, None]
+        )
+        self._share: Float[Array, "times channels"] = jnp.where(self._can, share[:, kind], 0.0)
+        self._length = length[:, kind]
         self._next = jnp.minimum(self._cell + 1, len(t) - 1)
 
     def shown(
-        self, values: Float[Array, "times 18"]
-    ) -> tuple[Float[Array, "times 18"], Float[Array, "times 18"]]:
-        """Channels so long before, and their slopes there [1/s]; of accelerations as they are, and zero."""
+        self, values: Float[Array, "times channels"]
+    ) -> tuple[Float[Array, "times channels"], Float[Array, "times channels"]]:
+        """Channels so long before, and their slopes there [1/s]; of others as they are, and 0."""
         here = jnp.take_along_axis(values, self._cell, axis=0)
         step = jnp.take_along_axis(values, self._next, axis=0) - here
-        step = jnp.where(ANGLES, wrap_to_pi(step), step)
-        return here + self._share * step, jnp.where(_CAN, step / self._length, 0.0)
+        step = jnp.where(ANGLES[: len(self._can)], wrap_to_pi(step), step)
+        return here + self._share * step, jnp.where(self._can, step / self._length, 0.0)
 
     def rows(
         self, slopes: Float[Array, "times rows z"], channels: Int[np.ndarray, " rows"]
@@ -57,7 +62,7 @@ class Earlier:
 
 
 def late(
-    t: Times, values: Float[Array, "times 18"], delay: Float[Array, "times kinds"]
-) -> Float[Array, "times 18"]:
+    t: Times, values: Float[Array, "times channels"], delay: Float[Array, "times kinds"]
+) -> Float[Array, "times channels"]:
     """What sensors show that are `delay` seconds late, per sample and kind; zero changes nothing."""
-    return Earlier(t, delay).shown(values)[0]
+    return Earlier(t, delay, values.shape[1]).shown(values)[0]

@@ -35,14 +35,14 @@ class Sample:
     """What happened at one sample.
 
     - `t` [s]; `pose`: x y z [m] NED and roll pitch yaw [rad], as they are; `commands`: held until the next.
-    - `shown`: what the sensors show, with noise, in the order of `CHANNELS`, NaN where nothing measures.
+    - `shown`: what the sensors show, with noise, in the order of `ALL_CHANNELS`, NaN where nothing measures.
     - `given`: thrust [N] and states of other actuators.
     """
 
     t: float
     pose: Float[np.ndarray, "6"]
     commands: Float[np.ndarray, " columns"]
-    shown: Float[np.ndarray, "18"]
+    shown: Float[np.ndarray, " channels"]
     given: Float[np.ndarray, " columns"]
 
 
@@ -50,7 +50,7 @@ class Basin:
     """Water with a craft in it that has `faults`, none of which acts at first.
 
     - `vehicle`: the craft's, without them.
-    - `noise`: standard deviation of the sensors' white noise, by `CHANNELS`; NaN: no such sensor.
+    - `noise`: standard deviation of the sensors' white noise, by `ALL_CHANNELS`; NaN: no such sensor.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Basin:
         vehicle: Vehicle,
         faults: Mapping[str, Fault],
         craft: Craft,
-        noise: Float[np.ndarray, "18"],
+        noise: Float[np.ndarray, " channels"],
         seed: int | None = None,
     ):
         late = [vehicle.thrusters.delay, *(one.delay for one in vehicle.actuators)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._files import did_you_mean, written_whole
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS, ALWAYS
 from ..vehicle_io import packaged_vehicle
 from ._basin import DT, Basin, Sample
 from ._crafts import Craft
@@ -44,13 +44,13 @@ class Pool:
         self.craft, self.vehicle = craft, craft.vehicle()
         self.faults = faults_of(self.vehicle, craft.push)
         self.columns, self.limits = self.vehicle.command_names, self.vehicle.command_limits
-        noise = self.vehicle.stated_noise
+        noise = self.vehicle.stated_noise[:ALWAYS]
         self._measured = np.flatnonzero(np.isfinite(noise))
         self._basin = Basin(self.vehicle, self.faults, craft, noise if noisy else 0.0 * noise, seed)
         self.vehicle_file = folder / VEHICLE
         _place_vehicle(packaged_vehicle(craft.packaged), self.vehicle_file)
         number = next_flight(folder)
-        names = ("t", *(CHANNELS[i] for i in self._measured), *self.columns)
+        names = ("t", *(ALL_CHANNELS[i] for i in self._measured), *self.columns)
         self.log = Rows(folder / FLIGHT.format(number), names)
         self.switched = Rows(folder / FAULTS.format(number), ("t", "fault", "on", "size"))
         self._clock, self._lock = clock, threading.Lock()
@@ -182,7 +182,7 @@ class Pool:
         return seen | {
             "t": round(sample.t, 3),
             "pose": sample.pose.tolist(),
-            "shown": {CHANNELS[i]: float(sample.shown[i]) for i in self._measured},
+            "shown": {ALL_CHANNELS[i]: float(sample.shown[i]) for i in self._measured},
             "commands": dict(zip(self.columns, sample.commands.tolist(), strict=True)),
             "given": dict(zip(self.columns, sample.given.tolist(), strict=True)),
         }

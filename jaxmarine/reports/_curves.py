@@ -10,53 +10,23 @@ from jaxtyping import Bool, Float, Int
 
 from .._angles import ANGLES, wrap_to_pi
 from .._types import (
+    ALL_CHANNELS,
     ATTITUDE,
     CHANNEL_UNITS,
-    CHANNELS,
     DOFS,
     POSITION,
     RATE,
-    SENSORS,
+    TABLE,
     VELOCITY,
     WRENCH,
 )
 from ..diagnosis import Diagnosis, MissingWrench, Predictions, Weighed
 from ..logs import moment
 
-GROUP_TITLES = {
-    "position": "Position",
-    "attitude": "Attitude",
-    "velocity": "Velocity",
-    "rate": "Turning rate",
-    "acceleration": "Acceleration",
-    "angular_acceleration": "Angular acceleration",
+GROUP_TITLES = {one.kind: one.titles[0] for one in TABLE}
+CHANNEL_TITLES = {
+    name: title for one in TABLE for name, title in zip(one.channels, one.titles[1:], strict=True)
 }
-CHANNEL_TITLES: dict[str, str] = dict(
-    zip(
-        CHANNELS,
-        (
-            "north position x",
-            "east position y",
-            "down position z",
-            "roll angle phi",
-            "pitch angle theta",
-            "heading psi",
-            "surge velocity u",
-            "sway velocity v",
-            "heave velocity w",
-            "roll rate p",
-            "pitch rate q",
-            "yaw rate r",
-            "surge acceleration du",
-            "sway acceleration dv",
-            "heave acceleration dw",
-            "roll acceleration dp",
-            "pitch acceleration dq",
-            "yaw acceleration dr",
-        ),
-        strict=True,
-    )
-)
 _UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
 _DEGREES = 180.0 / np.pi
 _STEPS = 150  # that are drawn of one prediction
@@ -73,7 +43,7 @@ def shown_scale(channel: str) -> float:
     return _DEGREES if "rad" in _UNITS[channel] else 1.0
 
 
-SCALES = np.array([shown_scale(name) for name in CHANNELS])
+SCALES = np.array([shown_scale(name) for name in ALL_CHANNELS])
 
 
 def finite(values: np.ndarray) -> Float[np.ndarray, "..."]:
@@ -90,7 +60,7 @@ def thinned(count: int, limit: int) -> Int[np.ndarray, " kept"]:
 def difference(predicted: np.ndarray, measured: np.ndarray) -> Float[np.ndarray, "..."]:
     """Predicted minus measured channels; angles the short way round."""
     out = finite(predicted) - finite(measured)
-    return np.where(ANGLES, wrap_to_pi(out), out)
+    return np.where(ANGLES[: out.shape[-1]], wrap_to_pi(out), out)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,19 +83,20 @@ def errors_by_horizon(predictions: Predictions) -> tuple[GroupError, ...]:
     if times.size == 0 or begin >= times.shape[1]:
         return ()
     horizon = np.median(times[:, begin:] - times[:, begin : begin + 1], axis=0)
-    before = difference(predictions.before, predictions.measured)[:, begin:] * SCALES
-    after = difference(predictions.after, predictions.measured)[:, begin:] * SCALES
-    noise = finite(predictions.noise) * SCALES
+    scales = SCALES[: len(predictions.noise)]
+    before = difference(predictions.before, predictions.measured)[:, begin:] * scales
+    after = difference(predictions.after, predictions.measured)[:, begin:] * scales
+    noise = finite(predictions.noise) * scales
     out = []
-    for kind, channels in SENSORS.items():
-        columns = [CHANNELS.index(name) for name in channels]
+    for one in TABLE[: len(scales) // 3]:
+        columns = [ALL_CHANNELS.index(name) for name in one.channels]
         measured = np.atleast_1d(np.isfinite(before[..., columns]).any(axis=(0, 1)))
         if measured.any():
             columns = [column for column, kept in zip(columns, measured, strict=True) if kept]
             out.append(
                 GroupError(
-                    title=GROUP_TITLES[kind],
-                    unit=shown_unit(channels[0]),
+                    title=one.titles[0],
+                    unit=shown_unit(one.channels[0]),
                     horizon=horizon,
                     errors={
                         "before": _bridged(horizon, _rms(before[..., columns])),
@@ -152,7 +123,7 @@ def _bridged(
     return np.interp(horizon, horizon[known], curve[known]) if known.any() else curve
 
 
-def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts 18"]:
+def _misfits(predictions: Predictions) -> Float[np.ndarray, "starts channels"]:
     """Mean square error before, in units of the noise, per start and channel; NaN: not measured."""
     begin = predictions.begin
     errors = difference(predictions.before, predictions.measured)[:, begin:] / predictions.noise
@@ -181,14 +152,14 @@ def typical_starts(predictions: Predictions) -> tuple[int, ...]:
 def measured_channels(predictions: Predictions) -> tuple[str, ...]:
     """The channels that the test log holds."""
     measured = np.atleast_1d(np.isfinite(predictions.measured).any(axis=(0, 1)))
-    return tuple(name for name, there in zip(CHANNELS, measured, strict=True) if there)
+    return tuple(name for name, there in zip(ALL_CHANNELS, measured, strict=False) if there)
 
 
 def telling_channel(predictions: Predictions) -> str | None:
     """The measured position, attitude or velocity that is worst predicted before."""
     misfit = _misfits(predictions)
     shown = [name for name in measured_channels(predictions) if name in POSITION + ATTITUDE + VELOCITY + RATE]
-    sizes = {name: _mean(misfit[:, CHANNELS.index(name)]) for name in shown}
+    sizes = {name: _mean(misfit[:, ALL_CHANNELS.index(name)]) for name in shown}
     return max(sizes, key=lambda name: sizes[name], default=None)
 
 
@@ -199,7 +170,7 @@ def _mean(values: np.ndarray) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Course:
-    """One prediction: `measured`, `before` and `after`, all 18 channels in shown units.
+    """One prediction: `measured`, `before` and `after`, all channels in shown units.
 
     `ahead` [s] counts from where the prediction begins; `start` is that moment of the log in words.
     `band`: half the width of that about the last model's, NaN before the start.
@@ -207,8 +178,8 @@ class Course:
 
     start: str
     ahead: Float[np.ndarray, " steps"]
-    curves: dict[str, Float[np.ndarray, "steps 18"]]
-    band: Float[np.ndarray, "steps 18"] | None = None
+    curves: dict[str, Float[np.ndarray, "steps channels"]]
+    band: Float[np.ndarray, "steps channels"] | None = None
 
 
 def course(predictions: Predictions, start: int, clock: float = 0.0) -> Course:
@@ -221,18 +192,19 @@ def course(predictions: Predictions, start: int, clock: float = 0.0) -> Course:
     before = finite(predictions.before[start])
     # Curves are made continuous from the prediction on, which has no gaps, and hung onto it.
     smooth = before.copy()
-    for column in np.flatnonzero(ANGLES):
+    for column in np.flatnonzero(ANGLES[: before.shape[1]]):
         if np.isfinite(before[:, column]).all():
             smooth[:, column] = np.unwrap(before[:, column])
     measured = smooth - difference(before, predictions.measured[start])
     after = smooth + difference(predictions.after[start], before)
     curves = {"measured": measured, "before": smooth, "after": after}
     kept = thinned(times.size, _STEPS)
-    shown = {name: curve[kept] * SCALES for name, curve in curves.items()}
+    scales = SCALES[: before.shape[1]]
+    shown = {name: curve[kept] * scales for name, curve in curves.items()}
     band = None
     if predictions.band is not None:
         none = np.full((predictions.begin, predictions.band.shape[1]), np.nan)
-        band = np.concatenate([none, predictions.band])[kept] * SCALES
+        band = np.concatenate([none, predictions.band])[kept] * scales
     return Course(moment(begin, clock, ".4g"), times[kept] - begin, shown, band)
 
 

@@ -1,4 +1,4 @@
-"""The figures of the page: small panels, laid out by the page in a grid.
+"""The figures of the page and of the print: small panels, laid out in a grid.
 
 One panel is one plot, so that a narrow screen stacks them. A chart with several sheets shows one at a time.
 All colours come from the page, which knows whether it is light or dark.
@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from .._numbers import count, joined, number, percent
-from .._types import CHANNELS
+from .._types import ALL_CHANNELS
 from ..diagnosis import BANDS, Diagnosis, MissingWrench, Predictions
 from ._curves import (
     CHANNEL_TITLES,
@@ -59,7 +59,7 @@ class Sheet:
 class Chart:
     """A captioned set of panels; with several sheets, `choice` says what the reader chooses.
 
-    `legend` names the marks in use: before, after, noise, measured, band, since.
+    `legend` names the marks in use: before, after, noise, measured, band, since; `band`: what a band holds.
     """
 
     key: str
@@ -69,6 +69,7 @@ class Chart:
     sheets: tuple[Sheet, ...]
     choice: str = ""
     chosen: int = 0
+    band: str = ""
 
 
 def error_chart(diagnosis: Diagnosis) -> Chart | None:
@@ -140,6 +141,7 @@ def missing_time_chart(diagnosis: Diagnosis) -> Chart | None:
         sheets=tuple(sheets),
         choice="Log",
         chosen=int(np.argmax(lacks)),
+        band="± 2 standard deviations",
     )
 
 
@@ -240,6 +242,7 @@ def trajectory_chart(diagnosis: Diagnosis) -> Chart | None:
         sheets=tuple(sheets),
         choice="Channel",
         chosen=channels.index(chosen),
+        band=f"{percent(BANDS)} of predictions",
     )
 
 
@@ -254,7 +257,7 @@ def _banded(predictions: Predictions) -> str:
 
 
 def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel:
-    column = CHANNELS.index(channel)
+    column = ALL_CHANNELS.index(channel)
     figure = Plot("time since the start [s]", f"{channel} [{shown_unit(channel)}]")
     if c.band is not None:
         later = c.ahead >= 0
@@ -270,7 +273,7 @@ def _over_time(c: Course, i: int, channel: str, shown: tuple[str, ...]) -> Panel
 
 def _track(c: Course, i: int, shown: tuple[str, ...]) -> Panel:
     figure = Plot("east y [m]", "north x [m]", equal=True)
-    north, east = CHANNELS.index("x"), CHANNELS.index("y")
+    north, east = ALL_CHANNELS.index("x"), ALL_CHANNELS.index("y")
     track = {name: curve[c.ahead >= 0] for name, curve in c.curves.items()}
     for name in ("measured", *shown):
         figure.line(name, track[name][:, east], track[name][:, north])

@@ -9,7 +9,7 @@ import markupsafe
 import numpy as np
 
 from .._numbers import count, interval, joined, number, percent, plus_minus, unit_on
-from .._types import CHANNEL_UNITS, CHANNELS, DOFS, SENSORS
+from .._types import ALL_CHANNELS, ALL_SENSORS, CHANNEL_UNITS, DOFS
 from .._version import __version__
 from ..diagnosis import BeforeAfter, Diagnosis, Finding, Recalibrated, Weighed
 from ..fitting import AxisCheck, sparkline
@@ -272,10 +272,10 @@ def _gains(diagnosis: Diagnosis) -> list[Error]:
     gain, out = diagnosis.gain, []
     for name, error in gain.quantities.items():
         what = f"{GROUP_TITLES[name]} error (rms, all axes together)"
-        out.append(_error(what, error, SENSORS[name][0]))
+        out.append(_error(what, error, ALL_SENSORS[name][0]))
         out += [
             _error(CHANNEL_TITLES[channel], gain.channels[channel], channel, channel=True)
-            for channel in SENSORS[name]
+            for channel in ALL_SENSORS[name]
             if channel in gain.channels
         ]
     ends = "–" if gain.ratio_ci95 is None else " to ".join(map(percent, gain.ratio_ci95))
@@ -375,11 +375,11 @@ def _done(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 def _noises(diagnosis: Diagnosis) -> str:
     """The standard deviations that were used, of each kind of sensor: the median over its channels."""
-    noise = dict(zip(CHANNELS, diagnosis.predictions.noise, strict=True))
+    noise = dict(zip(ALL_CHANNELS, diagnosis.predictions.noise, strict=False))
     stated = dict(diagnosis.vehicle.sensors)
     out = []
-    for sensor, names in SENSORS.items():
-        used = [noise[name] for name in names if np.isfinite(noise[name])]
+    for sensor, names in ALL_SENSORS.items():
+        used = [noise[name] for name in names if np.isfinite(noise.get(name, np.nan))]
         if used:
             whence = "stated" if sensor in stated else "estimated"
             size = f"{number(float(np.median(used)), 2)} {CHANNEL_UNITS[names[0]]}"

@@ -1,103 +1,89 @@
-"""The same figures as PNG files for print, with matplotlib on a white ground."""
+"""The figures of the page as PNG files for print, with matplotlib on a white ground.
+
+What they show is defined in `_figures.py`; only the ranking of causes, a table on the page, is drawn here.
+"""
 
 import io
 import warnings
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .._numbers import number
-from .._types import CHANNELS
 from ..diagnosis import Diagnosis, Weighed
 from ._causes import title
-from ._curves import (
-    CHANNEL_TITLES,
-    beginnings,
-    compared,
-    course,
-    errors_by_horizon,
-    finite,
-    free_axes,
-    known,
-    lacking,
-    leading,
-    shown_unit,
-    taken_suspects,
-    telling_channel,
-    typical_starts,
-)
+from ._curves import finite, leading, taken_suspects
+from ._figures import Chart, error_chart, missing_time_chart, trajectory_chart
+from ._svg import Plot
 from ._words import VERY_STRONG
 
 _COLOURS = {"before": "#c2620a", "after": "#1f6fb5"}
 _QUIET = "#7d8590"
 _DPI = 150
+# How a line is drawn, by whose it is.
+_LINES: dict[str, dict[str, Any]] = {
+    "before": {"color": _COLOURS["before"], "lw": 1.4},
+    "after": {"color": _COLOURS["after"], "lw": 1.4},
+    "noise": {"color": _QUIET, "lw": 1.0, "ls": "--"},
+    "measured": {"color": _QUIET, "lw": 4.0, "alpha": 0.6},
+}
 
 
 def pictures(diagnosis: Diagnosis) -> dict[str, bytes]:
     """File name and content of each picture."""
-    drawn = {
-        "error_vs_horizon.png": _errors(diagnosis),
-        "missing_wrench.png": _missing(diagnosis),
-        "evidence.png": _evidence(diagnosis),
-        "trajectories.png": _trajectories(diagnosis),
+    charts = {
+        "error_vs_horizon.png": error_chart(diagnosis),
+        "missing_wrench.png": missing_time_chart(diagnosis),
+        "trajectories.png": trajectory_chart(diagnosis),
     }
+    drawn = {name: None if chart is None else printed(chart) for name, chart in charts.items()}
+    drawn["evidence.png"] = _evidence(diagnosis)
     return {name: _png(figure) for name, figure in drawn.items() if figure is not None}
 
 
-def _errors(diagnosis: Diagnosis) -> Figure | None:
-    groups = errors_by_horizon(diagnosis.predictions)
-    if not groups:
-        return None
-    figure, axes = _grid(len(groups), 3)
-    for ax, group in zip(axes, groups, strict=True):
-        for name in compared(diagnosis):
-            ax.plot(group.horizon, group.errors[name], color=_COLOURS[name], label=name)
-        if np.isfinite(group.noise):
-            ax.axhline(group.noise, color=_QUIET, ls="--", lw=1, label="noise")
-        ax.set(title=group.title, xlabel="horizon [s]", ylabel=f"rms error [{group.unit}]")
+def printed(chart: Chart) -> Figure:
+    """The sheet of a chart that the page shows first, named where there are others."""
+    sheet = chart.sheets[chart.chosen]
+    figure, axes = _grid(len(sheet.panels), 3)
+    for ax, panel in zip(axes, sheet.panels, strict=True):
+        ax.set_title(_plain(panel.title))
+        _draw(ax, panel.figure)
+    if len(chart.sheets) > 1:
+        figure.suptitle(_plain(sheet.name), fontsize=10)
+    if "band" in chart.legend:
+        # A mark of its own, beside the lines of the first panel.
+        axes[0].fill_between([], [], [], color=_QUIET, alpha=0.3, lw=0, label=chart.band)
+    # Below the panels, where it covers no curve; in the order of the page.
+    named = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    shown = (chart.band if name == "band" else name for name in chart.legend)
+    order = [name for name in shown if name in named]
+    figure.legend(
+        [named[name] for name in order], order, loc="outside lower center", ncols=len(order), frameon=False
+    )
+    return figure
+
+
+def _draw(ax: Axes, plot: Plot) -> None:
+    """What a plot of the page has, on axes of matplotlib."""
+    for shape in plot.shapes:
+        style = _LINES[shape.kind]
+        if shape.form == "line":
+            ax.plot(shape.x, shape.y, label=shape.kind, **style)
+        elif shape.upper is not None:
+            ax.fill_between(shape.x, shape.y, shape.upper, color=style["color"], alpha=0.15, lw=0)
+        else:
+            ax.plot(shape.x, shape.y, ".", color=style["color"], ms=2, label=shape.kind)
+    for mark in plot.marks:
+        ax.axvline(mark, color=_QUIET, ls=":")
+    if plot.from_zero:
         ax.set_ylim(bottom=0.0)
-    axes[0].legend(frameon=False)
-    return figure
-
-
-def _missing(diagnosis: Diagnosis) -> Figure | None:
-    free = [
-        axis for axis in free_axes(diagnosis.vehicle.dof) if known(diagnosis.missing_before, axis.index).any()
-    ]
-    if not free:
-        return None
-    figure, axes = _grid(len(free), 3)
-    starts = _log_starts(diagnosis)
-    for ax, axis in zip(axes, free, strict=True):
-        for name, missing in lacking(diagnosis).items():
-            colour = _COLOURS[name]
-            for log, shift in enumerate(starts):
-                there = known(missing, axis.index, log)
-                t, wrench = missing.t[there] + shift, missing.wrench[there, axis.index]
-                band = 2 * np.nan_to_num(finite(missing.std[there, axis.index]))
-                ax.fill_between(t, wrench - band, wrench + band, color=colour, alpha=0.2, lw=0)
-                ax.plot(t, wrench, color=colour, lw=1.2, label=f"{name} ± 2 std" if log == 0 else None)
-        for log, shift in enumerate(starts):
-            for since in beginnings(diagnosis, log):
-                ax.axvline(since + shift, color=_QUIET, ls=":")
-        ax.axhline(0.0, color="black", lw=0.6)
-        ax.set(title=axis.title, ylabel=f"[{axis.unit}]", xlabel="time, training logs in a row [s]")
-    axes[0].legend(frameon=False)
-    return figure
-
-
-def _log_starts(diagnosis: Diagnosis) -> list[float]:
-    """What is added to the time of each training log so that they stand one after another."""
-    missing = diagnosis.missing_before
-    shifts, end = [], None
-    for log in range(len(diagnosis.train)):
-        t = missing.t[(missing.log == log) & np.isfinite(missing.t)]
-        shift = 0.0 if end is None or t.size == 0 else end - float(t.min())
-        shifts.append(shift)
-        if t.size:
-            end = float(t.max()) + shift + 0.03 * float(np.ptp(t))
-    return shifts
+    elif ax.get_ylim()[0] < 0.0 < ax.get_ylim()[1]:
+        ax.axhline(0.0, color=_QUIET, lw=0.6)
+    if plot.equal:
+        ax.set_aspect("equal", adjustable="datalim")
+    ax.set(xlabel=_plain(plot.x_title), ylabel=_plain(plot.y_title))
 
 
 def _evidence(diagnosis: Diagnosis) -> Figure | None:
@@ -125,38 +111,11 @@ def _evidence(diagnosis: Diagnosis) -> Figure | None:
     return figure
 
 
-def _trajectories(diagnosis: Diagnosis) -> Figure | None:
-    predictions = diagnosis.predictions
-    channel = telling_channel(predictions)
-    clock = diagnosis.clocks.get(predictions.log, 0.0)
-    courses = [course(predictions, start, clock) for start in typical_starts(predictions)]
-    if channel is None or not courses:
-        return None
-    column = CHANNELS.index(channel)
-    figure, axes = _grid(len(courses), 3)
-    for ax, c in zip(axes, courses, strict=True):
-        measured = c.curves["measured"][:, column]
-        ax.plot(c.ahead, measured, color=_QUIET, lw=4, alpha=0.6, label="measured")
-        for name in compared(diagnosis):
-            ax.plot(c.ahead, c.curves[name][:, column], color=_COLOURS[name], label=name)
-        if c.band is not None:
-            last = compared(diagnosis)[-1]
-            middle, half = c.curves[last][:, column], c.band[:, column]
-            ax.fill_between(c.ahead, middle - half, middle + half, color=_COLOURS[last], alpha=0.15, lw=0)
-        ax.axvline(0.0, color=_QUIET, ls=":")
-        ax.set(
-            title=f"start at {c.start}",
-            xlabel="time since the start [s]",
-            ylabel=f"{CHANNEL_TITLES[channel]} [{shown_unit(channel)}]",
-        )
-    axes[0].legend(frameon=False)
-    return figure
-
-
 def _grid(count: int, columns: int) -> tuple[Figure, list[Axes]]:
     columns = 2 if count == 4 else min(columns, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(3.6 * columns if columns > 1 else 6.0, 2.5 * rows), layout="constrained")
+    size = 3.6 * columns if columns > 1 else 6.0, 2.5 * rows + 0.5  # with room for names above and below
+    figure = Figure(figsize=size, layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for spare in axes[count:]:
         spare.remove()

@@ -8,6 +8,7 @@ import dataclasses
 import html
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,9 +20,26 @@ _LETTER = 6.3  # width of a digit of the labels
 _TICKS = MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10])
 
 
+class Shape(NamedTuple):
+    """One shape: `form` is line, band or points, `kind` whose it is; a band lies between `y` and `upper`."""
+
+    form: str
+    kind: str
+    x: Float[np.ndarray, " n"]
+    y: Float[np.ndarray, " n"]
+    upper: Float[np.ndarray, " n"] | None = None
+
+    @property
+    def outline(self) -> tuple[Float[np.ndarray, " outline"], Float[np.ndarray, " outline"]]:
+        """Its points, those of a band along the lower edge and back along the upper one."""
+        if self.upper is None:
+            return self.x, self.y
+        return np.concatenate([self.x, self.x[::-1]]), np.concatenate([self.y, self.upper[::-1]])
+
+
 @dataclasses.dataclass
 class Plot:
-    """What is drawn, in the units of its axes; `svg` makes the text.
+    """What is drawn, in the units of its axes; `svg` makes the text of the page, `_pictures.py` a print.
 
     - `from_zero`: the vertical axis begins at 0. `equal`: both axes have one scale, as a map has.
     """
@@ -30,16 +48,16 @@ class Plot:
     y_title: str
     from_zero: bool = False
     equal: bool = False
-    _shapes: list[tuple[str, np.ndarray, np.ndarray, str]] = dataclasses.field(default_factory=list)
-    _marks: list[float] = dataclasses.field(default_factory=list)
+    shapes: list[Shape] = dataclasses.field(default_factory=list)
+    marks: list[float] = dataclasses.field(default_factory=list)
 
     @property
     def empty(self) -> bool:
-        return not self._shapes
+        return not self.shapes
 
     def line(self, kind: str, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> None:
         """A curve, interrupted where there is no number; `kind`: its class on the page."""
-        self._shapes.append(("line", np.asarray(x, float), np.asarray(y, float), kind))
+        self.shapes.append(Shape("line", kind, np.asarray(x, float), np.asarray(y, float)))
 
     def band(
         self,
@@ -49,20 +67,20 @@ class Plot:
         high: Float[np.ndarray, " n"],
     ) -> None:
         """What lies between two curves."""
-        edge = np.concatenate([low, high[::-1]])
-        self._shapes.append(("band", np.concatenate([x, x[::-1]]), edge, kind))
+        self.shapes.append(Shape("band", kind, *(np.asarray(one, float) for one in (x, low, high))))
 
     def points(self, kind: str, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> None:
-        self._shapes.append(("points", np.asarray(x, float), np.asarray(y, float), kind))
+        self.shapes.append(Shape("points", kind, np.asarray(x, float), np.asarray(y, float)))
 
     def mark(self, x: float) -> None:
         """A dotted line upwards."""
-        self._marks.append(x)
+        self.marks.append(x)
 
     def svg(self) -> str:
         """The plot as an `svg` element that is as wide as what it stands in."""
-        x_low, x_high = _ends([shape[1] for shape in self._shapes] + [np.array(self._marks)])
-        y_low, y_high = _ends([shape[2] for shape in self._shapes] + [np.zeros(int(self.from_zero))])
+        outlines = [shape.outline for shape in self.shapes]
+        x_low, x_high = _ends([x for x, _ in outlines] + [np.array(self.marks)])
+        y_low, y_high = _ends([y for _, y in outlines] + [np.zeros(int(self.from_zero))])
         room = 0.04 * (y_high - y_low)
         y_low, y_high = (y_low if self.from_zero and y_low == 0 else y_low - room), y_high + room
         y_ticks = _labels(y_low, y_high)
@@ -91,11 +109,11 @@ class Plot:
             x = float(across(value))
             out.append(f'<path class="grid" d="M{x:.1f} {_TOP:.1f}v{high:.1f}"/>')
             out.append(f'<text class="middle" x="{x:.1f}" y="{_TOP + high + 14:.1f}">{text}</text>')
-        for mark in self._marks:
+        for mark in self.marks:
             out.append(f'<path class="mark" d="M{float(across(mark)):.1f} {_TOP:.1f}v{high:.1f}"/>')
-        for shape, x, y, kind in self._shapes:
-            path = _path(across(x), up(y), shape)
-            out.append(f'<path class="{shape} {kind}" d="{path}"/>')
+        for shape, (x, y) in zip(self.shapes, outlines, strict=True):
+            path = _path(across(x), up(y), shape.form)
+            out.append(f'<path class="{shape.form} {shape.kind}" d="{path}"/>')
         middle = left + wide / 2
         out.append(
             f'<text class="middle" x="{middle:.1f}" y="{HEIGHT - 5:.1f}">{html.escape(self.x_title)}</text>'

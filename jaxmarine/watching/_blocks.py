@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from .._compiled import compiled
 from .._errors import InputError
+from .._types import AXES
 from ..diagnosis import Coefficient, Layout, SaturatedPlant, base_coefficients, parts_of, saturate, strength
 from ..effects import AbstractEffect
 from ..fitting import (
@@ -58,7 +59,7 @@ class Rows:
     """Rows of one stretch without a gap; `commands` has the columns of the vehicle."""
 
     t: Float[np.ndarray, " rows"]
-    channels: Float[np.ndarray, "rows 18"]
+    channels: Float[np.ndarray, "rows channels"]
     commands: Float[np.ndarray, "rows columns"]
     wrench: Float[np.ndarray, "rows 6"]
 
@@ -101,7 +102,7 @@ class Bench:
     families: tuple[AbstractEffect, ...]
     layout: Layout
     base: tuple[Coefficient, ...]
-    noise: Float[np.ndarray, "18"]
+    noise: Float[np.ndarray, " channels"]
     channels: tuple[int, ...]
     dt: float
     steps: int
@@ -117,7 +118,7 @@ class Bench:
 
     @classmethod
     def with_noise(cls, vehicle: Vehicle, noise, dt: float, catalogue) -> "Bench":
-        free = np.concatenate([vehicle.free] * 3).astype(bool)
+        free = vehicle.free[np.array(AXES[: len(noise)])].astype(bool)
         channels = tuple(np.flatnonzero(np.isfinite(noise) & free).tolist())
         if not channels:
             axes = ", ".join(vehicle.dof)
@@ -212,7 +213,7 @@ class Bench:
             segment=jnp.zeros((1, len(t)), int),
         )
         measured = filled(rows.channels)[here]
-        usable = np.isfinite(measured) & np.isin(np.arange(18), self.channels)
+        usable = np.isfinite(measured) & np.isin(np.arange(measured.shape[1]), self.channels)
         weight = np.where(usable, 1.0 / np.where(np.isfinite(self.noise), self.noise, 1.0), 0.0)
         steep = np.abs(np.cos(attitude[here, 1])) < 0.15
         weight[steep, 3] = weight[steep, 5] = 0.0

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from .._types import MOTION
 from ..fitting import Windowed
 from ._blocks import GAP, LONG, Begun, Bench, Rows
 
@@ -72,5 +73,5 @@ class Course:
 
 def _speeds(rows: Rows) -> Float[np.ndarray, "6"]:
     """The fastest that rows go on each axis [m/s, rad/s], 1 where that was not measured."""
-    speeds = np.abs(rows.channels[:, 6:12])
+    speeds = np.abs(rows.channels[:, MOTION])
     return np.where(np.isfinite(speeds).any(axis=0), np.nan_to_num(speeds).max(axis=0), 1.0)

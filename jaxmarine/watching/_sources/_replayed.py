@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..._types import CHANNELS, WRENCH
+from ..._types import ALL_CHANNELS, WRENCH
 from ...logs import ColumnMap, read_log
 from ...vehicle import Vehicle
 from ._source import Row
@@ -40,7 +40,7 @@ class Replayed:
         rows = []
         for k in here:
             seen = np.flatnonzero(np.isfinite(log.channels[k]))
-            row = {"t": float(log.t[k])} | {CHANNELS[c]: float(log.channels[k, c]) for c in seen}
+            row = {"t": float(log.t[k])} | {ALL_CHANNELS[c]: float(log.channels[k, c]) for c in seen}
             row |= dict(zip(names, driven[k].tolist(), strict=True))
             if log.battery is not None:
                 row["battery"] = float(log.battery[k])
