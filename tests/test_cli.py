@@ -352,6 +352,7 @@ def test_fit_frees_an_effect_that_the_file_does_not_have(jaxmarine, folder, ship
     assert abs(wrench[0]) < 0.02 * more[0]
 
 
+@pytest.mark.slow
 def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, ship):
     """The log is of symmetric thrust, which the file spoils astern."""
     thrust = np.asarray(ship.thrusters.max_thrust)

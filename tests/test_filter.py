@@ -214,6 +214,7 @@ def test_a_first_state_is_taken_back_to_its_changes():
     np.testing.assert_allclose(np.asarray(line.back), np.linalg.pinv(begin), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_many_windows_are_held_some_at_a_time(disturbed, monkeypatch):
     """What they say is the same to rounding."""
     bench, model = disturbed

@@ -373,6 +373,7 @@ def test_a_hulls_lift_that_the_file_lacks_is_held_by_mass_and_length():
     np.testing.assert_allclose(scales.prior, [0.3 * mass, 0.3 * mass * length])
 
 
+@pytest.mark.slow
 def test_a_solve_that_damping_has_stopped_begins_anew(monkeypatch):
     """The last solve is made to end far off, by a damping under which a step promises nothing."""
     log, start = record(boat(), steps(200), seed=3), wrong(boat(), 1.0, 1.6, 1.0)

@@ -10,6 +10,8 @@ import jaxmarine as jm
 from experiments.blind import cases, excitation
 from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
+from jaxmarine.diagnosis import gain_of
+from jaxmarine.effects import ExchangedThrusters
 from jaxmarine.fitting import gross_errors, misconnected
 from jaxmarine.fitting._kinematics import contradiction, misread
 from jaxmarine.fitting._responses import read_otherwise, responses
@@ -185,6 +187,10 @@ def test_a_diagnosis_names_exchanged_columns_before_anything_bends(tmp_path):
     (placed,) = jm.load_vehicle(tmp_path / "extended.toml").placed
     assert (placed.effect.name, placed.target) == ("exchanged_thrusters", "star+port")
     assert jm.check(found.extended, sailed(hidden)).gross == ()
+    # As worth naming as it was when it was known beforehand.
+    logs = sailed(hidden), sailed(hidden, seconds=60.0, seed=4)
+    known = gain_of(craft, *logs, [jm.Placed(ExchangedThrusters(), "star+port")])
+    assert known.ratio == pytest.approx(found.gain.ratio, rel=0.05)
 
 
 @pytest.mark.slow

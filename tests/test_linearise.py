@@ -194,6 +194,7 @@ def test_statistics_are_those_of_forward_mode(name, segments, logs):
             assert error[gains].max() < 0.3 and error[lagging].max() < 0.5, what
 
 
+@pytest.mark.slow
 def test_long_logs_are_linearised_in_parts(monkeypatch):
     """Windows two by two, four at a time, thrust along sixteen samples at a time: the same statistics.
 
@@ -236,6 +237,7 @@ def test_long_logs_are_linearised_in_parts(monkeypatch):
     assert (np.abs(h[0] - by_window[2].sum(0)) <= 1e-8 * np.outer(scale, scale) + 1e-300).all()
 
 
+@pytest.mark.slow
 def test_a_memory_that_pushes_nothing_and_is_not_asked_for_is_left_out(monkeypatch):
     """Beside other causes nothing is lost by it; a slope of it needs its motion."""
     this = case(*THREE_AXES)

@@ -68,6 +68,7 @@ def test_sparse_regression_names_a_plain_cause_first(boat):
     assert row["first"] and row["found"][0] == NAME
 
 
+@pytest.mark.slow
 def test_the_worst_channel_is_graded_by_axis(boat):
     found = rivals.worst_channel(boat, 1)["findings"]
     assert [f["effect"] for f in found] == ["axis"]

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from jaxmarine.diagnosis import Diagnosis, _coefficients, _diagnose, _settle, _unnamed
 from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
@@ -17,7 +18,8 @@ from jaxmarine.diagnosis._knots import Knots
 from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Sample, Workbench
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
-from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file
+from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file, nats
+from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
 from jaxmarine.effects import LinearDamping
@@ -401,66 +403,61 @@ def judged_as(model: Model, white: bool = False) -> Judged:
     return Judged(model, stats, PHI, none, model, PHI, none, white)
 
 
-def rival_with(rest: float, found: tuple[Dependence, ...] = (dependence(),)) -> Any:
-    """The file with unknown dependences of three shapes that leave `rest`."""
-    bench = Bench({})
-    bench.freedom = FREEDOM
+def rival_with(found: tuple[Dependence, ...] = (dependence(),)) -> Any:
+    """The file with unknown dependences of three shapes."""
+    bench = Bench(off(s0=0.5, s4=0.3))
+    start = bench.frozen(bench.start())
     rival = Unnamed(bench)
-    vars(rival).update(rest=rest, dependences=found, judged=judged_as(bench.fit()))
+    now, nothing = judged_as(bench.refine(start)), np.zeros(BASE)
+    left = Knots(now.stats, BASE, nothing, nothing, np.zeros(6), object.__new__(Places))
+    vars(rival).update(
+        dependences=found, judged=dataclasses.replace(now, stats=bench.screen(start), left=left)
+    )
     return rival
 
 
-@pytest.mark.parametrize(
-    ("left", "share", "rest", "less"),
-    [
-        (10_000.0, 0.6, 5_990.0, True),
-        (10_000.0, 0.6, 6_010.0, False),
-        # By chance: ten times 3 + 12 shapes, times what is left per number and the noise.
-        (1_000.0, 0.9, 735.0, True),  # 1000 - 150 * 1.735 = 739.75
-        (1_000.0, 0.9, 745.0, False),  # 1000 - 150 * 1.745 = 738.25
-    ],
-)
-def test_unknown_dependences_must_leave_a_share_less_and_not_by_chance(left, share, rest, less):
-    assert rival_with(rest).leaves_less(left, share) == less
-    assert not rival_with(rest, ()).leaves_less(left, share)
+def density(covariance: np.ndarray, bench: Bench) -> float:
+    """Log-density of a toy's log beside that of noise alone."""
+    noise = np.eye(SAMPLES)
+    of = (multivariate_normal(np.zeros(SAMPLES), noise + more) for more in (covariance, 0 * noise))
+    with_more, without = (one.logpdf(bench.y.ravel()) for one in of)
+    return with_more - without
 
 
-@pytest.mark.parametrize(
-    ("members", "left", "rest", "beats"),
-    [
-        (1, 5_000.0, 100.0, False),  # one name is never worse than none
-        (2, 5_000.0, 2_950.0, True),
-        (2, 5_000.0, 3_050.0, False),
-        (3, 5_000.0, 3_050.0, True),
-        (3, 5_000.0, 4_050.0, False),
-        (2, 490.0, 10.0, False),  # less than half of the noise
-        (2, 510.0, 10.0, True),
-    ],
-)
-def test_names_have_to_leave_less_than_unknown_dependences_alone(members, left, rest, beats):
-    """Two names by 0.6 of what they leave, more by 0.8."""
-    model = dataclasses.replace(Bench({}).fit(*range(members)), cost=0.5 * (FREEDOM + left))
-    assert rival_with(rest).beats(model) == beats
+def test_nats_of_a_file_that_may_bend_are_those_of_the_dense_gaussian():
+    """Its coefficients integrated over their prior; beside one member, which pays by Schwarz."""
+    bench = Bench(off(s0=0.15, s1=-0.05, s4=0.3))
+    flat = bench.columns.reshape(SAMPLES, -1)
+    held, bent = (bench.refine(model) for model in (bench.frozen(bench.start()), bench.start()))
+    more = nats(bench, bent, bench.screen(bent), 1.0) - nats(bench, held, bench.screen(held), 1.0)
+    assert more == pytest.approx(density(PRIOR**2 * flat[:, :BASE] @ flat[:, :BASE].T, bench), abs=1e-6)
+    member = bench.refine(bench.frozen(bench.fit(4)))
+    gained = nats(bench, member, bench.screen(member), 1.0) - nats(bench, held, bench.screen(held), 1.0)
+    assert gained == pytest.approx(0.5 * SIZE * 0.3**2 - 0.5 * np.log(SAMPLES) - np.log(SUSPECTS), rel=1e-6)
+    # Where scores scatter four times as much, a quarter is gained by what is explained.
+    assert -member.cost / 4 - nats(bench, member, bench.screen(member), 4.0) == pytest.approx(
+        0.5 * np.log(SAMPLES) + np.log(SUSPECTS)
+    )
 
 
-@pytest.mark.parametrize(
-    ("members", "nats", "likelier"),
-    [
-        (1, 1e3, False),  # of one name it is asked whether it stood in
-        # Names pay log(320) / 2 + log(8) each, 9.93 nats for two; one dependence is chosen among so many: 7.
-        (2, -2.9, True),
-        (2, -3.0, False),
-        (3, -7.8, True),
-    ],
-)
-def test_several_names_must_make_the_logs_likelier_than_unknown_dependences(
-    monkeypatch, members, nats, likelier
-):
-    monkeypatch.setattr(_unnamed, "nats_in_place", lambda k, where, found, phi: nats)
-    monkeypatch.setattr(_unnamed, "tried_nats", lambda k: 7.0)
-    now = judged_as(Bench({}).fit(*range(4, 4 + members)))
-    assert rival_with(0.0).likelier(now) == likelier
-    assert not rival_with(0.0, ()).likelier(now)
+@pytest.mark.parametrize("bends", [True, False])
+def test_unknown_dependences_are_likelier_by_what_they_gain_beside_the_file(monkeypatch, bends):
+    """The file has half of a chi-square of 2500 + 900 against it; what a refit gains is in `nats_beside`."""
+    rival = rival_with()
+    monkeypatch.setattr(_unnamed, "nats_beside", lambda k, found, phi: 100.0 / phi)
+    held, gained = -0.5 * SIZE * (0.5**2 + 0.3**2), 100.0
+    for named, likelier in ((held + gained - 0.1, True), (held + gained + 0.1, False)):
+        assert rival.likelier(named, 1.0, bends) == likelier
+    assert rival.likelier((held + gained) / 4 - 0.1, 4.0, bends)
+    assert not rival_with(()).likelier(-np.inf, 1.0, bends)
+
+
+def test_a_refitted_file_beside_unknown_dependences_is_asked_for_where_names_are(monkeypatch):
+    """What `nats_beside` is asked for with a prior that bends gains 1000 more."""
+    rival = rival_with()
+    monkeypatch.setattr(_unnamed, "nats_beside", lambda k, found, phi: 1000.0 * bool(k.precision.max() < 1e6))
+    held = -0.5 * SIZE * (0.5**2 + 0.3**2)
+    assert rival.likelier(held + 500.0, 1.0) and not rival.likelier(held + 500.0, 1.0, bends=False)
 
 
 @pytest.mark.parametrize(
@@ -495,68 +492,53 @@ def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
     assert _unnamed.with_unknown(bench, white, False, lambda words: None) == Answer(white, (), False)
 
 
-def test_what_a_model_leaves_beside_unknown_dependences(monkeypatch):
-    """1500 in all, of which a refit saves 20 and one with dependences 320; 1000 are noise: 200."""
-    monkeypatch.setattr(_unnamed, "explained", lambda knots, found: 320.0 if found else 20.0)
-    rival = rival_with(0.0)
-    model = dataclasses.replace(rival.bench.fit(), cost=750.0)
-    answer = Answer(judged_as(model), (dependence(),), False)
-    assert _unnamed.left_over(rival.bench, answer) == pytest.approx(200.0)
-    assert _unnamed.left_over(rival.bench, dataclasses.replace(answer, unknown=())) == pytest.approx(500.0)
-
-
 # --- the answer that is given ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("left", "unknown", "white", "members", "named"),
+    ("alone", "together", "white", "members", "dense", "named"),
     [
-        (5_000.0, (), False, 1, True),  # 3100 is more than 0.6 of it
-        (5_000.0, (dependence(),), False, 1, False),  # and less than 0.7
-        (5_200.0, (), False, 1, False),
-        (5_200.0, (), True, 1, True),
-        (5_200.0, (), False, 0, True),  # nothing of the file is changed by it
+        (False, False, False, 1, False, True),
+        (True, False, False, 1, False, False),  # likelier than the names by themselves
+        (False, True, False, 1, False, False),  # than names and what else is unknown
+        (True, True, True, 1, False, True),  # noise alone is left
+        (True, True, False, 0, False, True),  # nothing of the file is changed by the answer
+        (False, True, False, 0, True, False),  # a file that was refitted has followed what is unknown
     ],
 )
-def test_unknown_dependences_alone_are_the_answer_where_they_leave_clearly_less(
-    monkeypatch, left, unknown, white, members, named
+def test_unknown_dependences_alone_are_the_answer_where_they_are_likelier(
+    monkeypatch, alone, together, white, members, dense, named
 ):
-    """They leave 3100."""
-    rival = rival_with(3_100.0)
+    rival = rival_with()
     bench = rival.bench
     model = bench.fit(*range(4, 4 + members))
-    answer = Answer(judged_as(model, white), unknown, False)
+    answer = Answer(judged_as(model, white), (dependence(),), dense)
     rounds = (Round((trial(bench, bench.fit(), 4),), True, 1.0),)
-    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, False, rounds, ()))
-    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, dense, rounds, ()))
+    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model, white))
     monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
-    monkeypatch.setattr(_diagnose, "left_over", lambda bench, answer: left)
+    monkeypatch.setattr(_diagnose, "nats_of", lambda bench, now, unknown: together if unknown else alone)
+    asked = []
+
+    def likelier(nats, phi, bends=True):
+        asked.append(bends)
+        return nats
+
+    rival.likelier = likelier
     found = Found(model, bench.screen(model), (), ())
     chosen, weighed = _diagnose._chosen(bench, rival, found, lambda words: None)
     assert weighed == rounds
     assert (chosen is answer) == named
     assert chosen.dropped == (() if named else tuple(Dropped(str(i), UNNAMED) for i in suspects(model)))
     assert named or (chosen.unknown == rival.dependences and not chosen.changed)
-
-
-@pytest.mark.parametrize(("left", "followed"), [(3_200.0, True), (3_000.0, False)])
-def test_coefficients_that_followed_something_unknown_stand_as_filed(monkeypatch, left, followed):
-    """Unknown dependences beside the file leave 3100; with refitted coefficients `left`."""
-    rival = rival_with(3_100.0)
-    bench = rival.bench
-    answer = Answer(judged_as(bench.fit()), (dependence(),), True)
-    found = Found(bench.fit(), bench.screen(bench.fit()), (), ())
-    monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (bench.fit(), True, (), ()))
-    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
-    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
-    monkeypatch.setattr(_diagnose, "left_over", lambda bench, answer: left)
-    chosen, _ = _diagnose._chosen(bench, rival, found, lambda words: None)
-    assert chosen.dense != followed and (chosen is answer) != followed
+    # A file that was refitted was compared with one that is when unknown dependences were looked for.
+    assert members or not any(asked)
 
 
 def test_names_that_are_beaten_are_not_settled_first(monkeypatch):
-    rival = rival_with(100.0)
-    model = dataclasses.replace(rival.bench.fit(4, 5), cost=0.5 * (FREEDOM + 5_000.0))
+    rival = rival_with()
+    model = rival.bench.fit(4, 5)
+    monkeypatch.setattr(_unnamed, "nats_beside", lambda k, found, phi: 1e9)
     monkeypatch.setattr(_diagnose, "settled", None)
     found = Found(model, rival.bench.screen(model), (), ())
     chosen, _ = _diagnose._chosen(rival.bench, rival, found, lambda words: None)
@@ -580,7 +562,7 @@ def gain(ratio: float, interval: tuple[float, float] | None) -> Gain:
     ],
 )
 def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unknown, home, ratio, note):
-    rival = rival_with(0.0)
+    rival = rival_with()
     answer = Answer(judged_as(rival.bench.fit(*members)), unknown, dense)
     measured = (gain(ratio, (ratio - 0.2, ratio + 0.2)), object.__new__(Predictions))
     monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: home)

@@ -21,7 +21,7 @@ from jaxmarine.diagnosis._unknown import (
     _left_out,
     dependences,
     likely,
-    nats_in_place,
+    nats_beside,
     size_only,
 )
 from jaxmarine.physics import from_euler, rotation
@@ -327,33 +327,35 @@ def test_evidence_of_shapes_of_one_size_is_that_of_the_gaussian():
     assert pull**-0.5 == pytest.approx(best, rel=0.15)
 
 
-def test_dependences_in_the_place_of_members_are_worth_what_the_densities_say():
-    """Restricted likelihoods of a force that goes with u², and of a member that only looks like it."""
+def test_dependences_beside_known_numbers_are_worth_what_the_densities_say():
+    """The restricted likelihood of a force that goes with u², a constant known beside it."""
     rng = np.random.default_rng(13)
     u = drift(rng, 6.0)
     signals = {"u": u, "v": drift(rng, 6.0)}
     force = u**2 + 0.5
     proposed = dependences(knots_with(force, signals, rng), 1.0)
-    known, member = (np.ones(u.size) / STD, np.abs(u).ravel() / STD)
+    known = np.ones(u.size) / STD
     y = force.ravel() / STD + rng.normal(size=u.size)
-    z = np.linalg.lstsq(np.column_stack([known, member]), y, rcond=None)[0]
-    rest = y - z[0] * known - z[1] * member
+    z = float(known @ y / (known @ known))
+    rest = y - z * known
 
-    # Columns: the known number, the member's, and the force at each knot on each axis.
+    # Columns: the known number, and the force at each knot on each axis.
     per_window = []
     for own in np.arange(u.size).reshape(SHAPE):
         knotted = np.einsum("ok,a->oka", np.eye(KNOTS) / STD, np.eye(6)[HEAVE]).reshape(KNOTS, -1)
-        x = np.column_stack([known[own], member[own], knotted])
+        x = np.column_stack([known[own], knotted])
         per_window.append((-x.T @ rest[own], x.T @ x, rest[own] @ rest[own]))
     g, h, chi2 = (np.array([one[i] for one in per_window]) for i in range(3))
     k = knots_with(force, signals, rng)
-    k = dataclasses.replace(k, stats=Reduced(chi2, g, h), width=2, precision=np.zeros(2), offset=z)
+    k = dataclasses.replace(
+        k, stats=Reduced(chi2, g, h), width=1, precision=np.zeros(1), offset=np.array([z])
+    )
 
     features = proposed[0].features.reshape(u.size, -1)
     features = features / np.sqrt((features**2).mean(axis=0)) / STD
 
     def restricted(size: float) -> float:
-        """Log-density of y without the member, the known number integrated out, less that at its fit."""
+        """Log-density of y, the known number integrated out, less that at its fit."""
         v = np.eye(u.size) + size**2 * features @ features.T
         inverse = np.linalg.inv(v)
         told = known @ inverse @ known
@@ -361,13 +363,19 @@ def test_dependences_in_the_place_of_members_are_worth_what_the_densities_say():
         shrunk = np.linalg.slogdet(v)[1] + np.log(told / (known @ known))
         return float(-0.5 * (left @ inverse @ left + shrunk))
 
-    by_members = -0.5 * float(rest @ rest)
     found = minimize_scalar(lambda x: -restricted(np.exp(x)), bounds=np.log([1e-3, 10.0]), method="bounded")
-    best = -float(found.fun)
-    # Sizes are looked at a quarter apart, and the knots' information is widened by a millionth.
-    assert nats_in_place(k, [slice(1, 2)], proposed, 1.0) == pytest.approx(best - by_members, abs=0.2)
+    gained = -float(found.fun) + 0.5 * float(rest @ rest)
+    assert gained > 100.0
+    # Sizes are looked at a quarter apart, and the knots' information is widened by a millionth. One of two
+    # signals, and another, on each free axis.
+    tried = np.log(2**2 * k.free.sum())
+    assert nats_beside(k, proposed, 1.0) == pytest.approx(gained - tried, abs=0.2)
     # Scores that scatter four times as much tell a quarter as much.
-    assert nats_in_place(k, [slice(1, 2)], proposed, 4.0) < 0.3 * (best - by_members)
+    assert nats_beside(k, proposed, 4.0) < 0.3 * gained
+    # Numbers that are not where they fit best are refitted, which gains what they are off by.
+    off = dataclasses.replace(k, stats=Reduced(chi2, g + 0.1 * h[:, :, 0], h))
+    more = 0.5 * 0.1**2 * float(known @ known)
+    assert nats_beside(off, proposed, 1.0) == pytest.approx(gained - tried + more, abs=0.2)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.15])

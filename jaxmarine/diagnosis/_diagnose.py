@@ -29,7 +29,7 @@ from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
 from ._supplied import unsupplied
-from ._unnamed import ALONE, WITH_UNKNOWN, Answer, Unnamed, left_over, with_unknown
+from ._unnamed import Answer, Unnamed, nats_of, with_unknown
 from ._worth import buys_nothing, gain_at_home, measured_gain, with_band
 
 # Evidence [nats] of what leaves a vehicle that runs away without it.
@@ -172,22 +172,22 @@ def _chosen(
     bench: Workbench, rival: Unnamed, found: Found, progress: Progress
 ) -> tuple[Answer, tuple[Round, ...]]:
     """Names, unknown dependences, or both: what explains the logs better; and all that was weighed."""
-    if rival.beats(found.model):
+    if len(found.model.members) > 1 and rival.beats(found.model, found.stats):
         return _without_names(bench, rival, found.model, (), UNNAMED), found.rounds
     progress(SETTLING)
     model, dense, rounds, dropped = settled(bench, found)
     now = judged(bench, model)
-    if rival.likelier(now):
+    # Names have to do better by themselves: beside unknown dependences they would only add to these.
+    if not now.white and model.members and rival.likelier(nats_of(bench, now, ()), now.phi):
         return _without_names(bench, rival, model, dropped, UNNAMED), rounds
     answer = with_unknown(bench, now, dense, progress)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     if not answer.changed or answer.judged.white:
         return answer, rounds
-    rest, share = left_over(bench, answer), WITH_UNKNOWN if answer.unknown else ALONE
     # Coefficients that were refitted without what is unknown have followed it.
-    followed = bool(answer.unknown) and not answer.model.members and rival.leaves_no_more(rest)
-    if followed or rival.leaves_less(rest, share):
+    own, bends = nats_of(bench, answer.judged, answer.unknown), bool(answer.model.members)
+    if rival.likelier(own, answer.judged.phi, bends):
         answer = _without_names(bench, rival, answer.model, answer.dropped, UNNAMED)
     return answer, rounds
 

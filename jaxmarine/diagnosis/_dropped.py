@@ -9,7 +9,7 @@ SENSELESS = "Beside what else was found its numbers, or the vehicle's, mean noth
 REPLACED = "Another cause explains the training logs better in its place, now that the others are known."
 HARMFUL = "The model predicts the training log better over 5 s without it."
 STOOD_IN = "It only stood in for a force that depends on signals and has no name."
-UNNAMED = "Forces without a name that depend on signals leave clearly less unexplained than what was named."
+UNNAMED = "Forces without a name that depend on signals make the training logs likelier than what was named."
 WORSE = "What was named predicts the training log worse over 5 s than the vehicle file."
 USELESS = "What was named buys nothing on the test logs."
 

@@ -653,6 +653,11 @@ class Workbench:
         data, split = self.data, self.split
         return Workbench(self.filed, self.families, self.layout, data, self.noise, split, self.own_noise)
 
+    def beside(self, filed: Vehicle) -> "Workbench":
+        """The same with another vehicle as filed, whose placed effects its own has first."""
+        noises = self.noise, self.split, self.own_noise
+        return Workbench(self.vehicle, self.families, self.layout, self.data, *noises, filed, self.room)
+
     def on(self, logs: Sequence[Log]) -> "Workbench":
         """The same with other logs, whose programs are those of its own where there is room."""
         data = cut(self.vehicle, logs, self.noise, self.data.length)

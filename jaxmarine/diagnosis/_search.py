@@ -400,13 +400,33 @@ def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress =
 def _bent(bench: Workbench, model: Model) -> bool:
     """Whether a file that may bend within its prior makes the logs likelier than one that holds."""
     stats, base = bench.screen(model), slice(0, len(bench.base))
-    known, precision, z = bench.known(model)
-    h = (known.T @ stats.h.sum(0) @ known)[base, base]
-    # Integrated over the prior: what it could have been and is not counts against it.
-    shares = h / np.sqrt(np.outer(precision[base], precision[base]))
-    width = np.linalg.slogdet(np.eye(len(h)) + shares)[1]
+    _, precision, z = bench.known(model)
     lost = putting_back(bench, model, stats, base).sum() - precision[base] @ z[base] ** 2
-    return bool(lost > width)
+    return bool(0.5 * lost > narrowed(bench, model, stats))
+
+
+def narrowed(bench: Workbench, model: Model, stats: Reduced) -> float:
+    """Nats that coefficients of the file cost which may bend: by how much the logs narrow their prior.
+
+    Integrated over the prior, what they could have been and are not counts against them (Laplace).
+    """
+    base = slice(0, len(bench.base))
+    known, precision, _ = bench.known(model)
+    h = (known.T @ stats.h.sum(0) @ known)[base, base]
+    shares = h / np.sqrt(np.outer(precision[base], precision[base]))
+    return 0.5 * float(np.linalg.slogdet(np.eye(len(h)) + shares)[1])
+
+
+def nats(bench: Workbench, model: Model, stats: Reduced, phi: float) -> float:
+    """Logarithm of the marginal likelihood of a model [nats], but for a constant.
+
+    Members are charged for their parameters (Schwarz) and for how many there were to choose from, the file's
+    coefficients, where they may bend, by how much the logs narrow their prior.
+
+    - `phi`: dispersion of the scores, the same for all models that are compared.
+    """
+    bends = 0.0 if model.frozen else narrowed(bench, model, stats)
+    return -model.cost / phi - bends - sum(prior_nats(bench, member) for member in model.members)
 
 
 def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:
@@ -422,7 +442,7 @@ def search(
     bench: Workbench,
     model: Model,
     progress: Progress,
-    hopeless: Callable[[Model], bool],
+    hopeless: Callable[[Model, Reduced], bool],
 ) -> Found:
     """Adds suspects to a refined model one after another until nothing is worth adding.
 
@@ -451,7 +471,7 @@ def search(
         held = []
         model, stats = _weighted(bench, one.trials[0].model, stats)
         progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
-        if len(model.members) > 1 and hopeless(model):
+        if len(model.members) > 1 and hopeless(model, stats):
             break
     return Found(model, stats, tuple(rounds), tuple(held))
 

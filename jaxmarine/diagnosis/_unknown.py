@@ -7,7 +7,7 @@ dependence is worth is the chi-square that it saves on windows that were left ou
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -425,12 +425,6 @@ def _wrenches(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
     return np.concatenate([empty, *(on_axis(one.axis, one.features) for one in found)], axis=-1)
 
 
-def explained(k: Knots, found: tuple[Dependence, ...]) -> float:
-    """Chi-square saved by the dependences when the known numbers are refitted with them (linearised)."""
-    g, h = _beside(k, _wrenches(k, found))
-    return float(g @ solve(h, g))
-
-
 def cost_of_removal(
     k: Knots, members: list[slice], found: tuple[Dependence, ...]
 ) -> list[tuple[float, float]]:
@@ -477,28 +471,24 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
     return accepted
 
 
-def nats_in_place(k: Knots, members: Sequence[slice], found: tuple[Dependence, ...], phi: float) -> float:
-    """Nats by which some dependences in the place of all members make the logs likelier (linearised).
+def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
+    """Nats by which some dependences make the logs likelier, known numbers refitted with them (linearised).
 
-    Coefficients of shapes are integrated out, each dependence's at the size at which they gain most; known
-    numbers are refitted. What the members cost by their number, and the dependences, is not in it.
+    Coefficients of shapes are integrated out, each dependence's at the size at which they gain most, and it
+    is charged for how many there were to choose from.
 
-    - `members`: where their parameters lie in z; `phi`: dispersion of the scores.
+    - `phi`: dispersion of the scores, by which all that is gained counts less.
     """
+    found = tuple(one for one in found if not one.size_only)
     g, h = _beside_shapes(k, found)
-    out = np.concatenate([np.arange(where.start, where.stop) for where in members])
-    back = np.zeros(len(g))
-    back[out] = -k.offset[out]
-    nats = -(g @ back + 0.5 * back @ h @ back) / phi
-    g = g + h @ back
-    rest = np.setdiff1d(np.arange(k.width), out)
-    nats += 0.5 * g[rest] @ solve(h[np.ix_(rest, rest)], g[rest]) / phi
+    rest = np.arange(k.width)
+    nats = 0.5 * g[rest] @ solve(h[np.ix_(rest, rest)], g[rest]) / phi
     first = k.width
     for one in found:
         own = np.arange(first, first + one.features.shape[-1])
         left, slope = _eliminated(g, h, own, rest)
         gained, pull = _evidence(left / phi, slope / phi)
-        nats += gained
+        nats += gained - tried_nats(k)
         h[own, own] += phi * pull
         rest, first = np.append(rest, own), own[-1] + 1
     return float(nats)

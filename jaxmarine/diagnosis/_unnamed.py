@@ -15,33 +15,25 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
+from ._knots import Knots
 from ._model import Beside, Model, Workbench
 from ._result import Dropped
-from ._search import prior_nats
+from ._score import Reduced
+from ._search import dispersion, nats
 from ._settle import pruned
 from ._signals import Signals
 from ._unknown import (
     Dependence,
     cost_of_removal,
     dependences,
-    explained,
     lagged,
     likely,
-    nats_in_place,
+    nats_beside,
     size_only,
-    tried_nats,
 )
 
-# A member whose removal costs less than this share beside the unknown dependences only stood in for them;
-# all of them did where unknown dependences alone leave less than the second share of what they leave, or
-# than the third one of what they leave together with unknown dependences, or the last one of what more than
-# two of them leave.
-STAND_IN, ALONE, WITH_UNKNOWN, CROWD = 0.35, 0.6, 0.7, 0.8
-# Chi-square that a shape of an unknown dependence may save by chance, in units of what a sample has left,
-# and shapes that are counted beside its own, for how many were tried.
-DEAR, SPARE = 10.0, 12
-# What is left per sample, beyond the noise, from which it is asked whether names are of any use.
-PLENTY = 0.5
+# A member whose removal costs less than this share beside the unknown dependences only stood in for them.
+STAND_IN = 0.35
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,55 +156,50 @@ class Unnamed:
     def answer(self) -> Answer:
         return Answer(self.judged, self.dependences, False)
 
-    @functools.cached_property
-    def rest(self) -> float:
-        """Chi-square beyond the noise that is left, if the file's coefficients may change as well."""
-        bent = dataclasses.replace(self.start, frozen=False, weight=self.judged.phi)
-        _, precision, _ = self.bench.known(bent)
-        free = dataclasses.replace(self.judged.knots, precision=precision)
-        return max(2 * self.start.cost - explained(free, self.dependences) - self.bench.freedom, 0.0)
+    def beats(self, model: Model, stats: Reduced) -> bool:
+        """`likelier` than members alone, before it is known what else the logs depend on beside them."""
+        phi = dispersion(self.bench, model, stats)
+        return self.likelier(nats(self.bench, model, stats, phi), phi)
 
-    def beats(self, model: Model) -> bool:
-        """Whether several members leave clearly more than unknown dependences alone would."""
-        rest = 2 * self.bench.undisturbed(model).cost - self.bench.freedom
-        count = len(model.members)
-        share = ALONE if count == 2 else CROWD
-        return count > 1 and rest > PLENTY * self.bench.freedom and self.leaves_less(rest, share)
+    def likelier(self, named: float, phi: float, bends: bool = True) -> bool:
+        """Whether the file with unknown dependences makes the logs likelier than an answer that has `named`.
 
-    def likelier(self, now: Judged) -> bool:
-        """Whether unknown dependences in the place of several members make the logs likelier than those do.
+        All in nats at the answer's dispersion `phi`: what neither explains pushes both alike.
 
-        Each in nats, with what it is worth before any log: members by their parameters and by how many there
-        are to choose from, dependences by how many sets of signals there are.
+        - `bends`: the file's coefficients may be refitted with them; a file that was refitted itself has been
+          compared with that already.
         """
-        members = now.model.members
-        if len(members) < 2 or not self.dependences:
-            return False
-        k, found = now.left, self.dependences
-        if now.model.beside is not None:
-            found = lagged(k, found)
-        named = -sum(prior_nats(self.bench, member) for member in members)
-        unnamed = nats_in_place(k, self.bench.slices(members), found, now.phi) - len(found) * tried_nats(k)
-        return bool(unnamed > named)
-
-    def leaves_no_more(self, rest: float) -> bool:
-        """Whether unknown dependences, and coefficients refitted with them, leave at most `rest`."""
-        return bool(self.dependences) and self.rest <= rest
-
-    def leaves_less(self, rest: float, share: float) -> bool:
-        """Whether it leaves less than a share of `rest`, and not by chance."""
         if not self.dependences:
             return False
-        shapes = sum(one.features.shape[-1] for one in self.dependences)
-        chance = DEAR * (shapes + SPARE) * (self.rest / self.bench.freedom + 1.0)
-        return self.rest < min(share * rest, rest - chance)
+        now = self.judged
+        ways = [dataclasses.replace(now.model, frozen=True)]
+        if bends:
+            ways.append(dataclasses.replace(now.model, frozen=False, weight=max(now.model.weight, phi)))
+        parts = now.stats, now.left, self.dependences, phi
+        return bool(max(_nats_with(self.bench, one, *parts) for one in ways) > named)
 
 
-def left_over(bench: Workbench, answer: Answer) -> float:
-    """Chi-square beyond the noise that a model leaves together with unknown dependences."""
-    missing = answer.judged.knots
-    saved = explained(missing, answer.unknown) - explained(missing, ())
-    return max(2 * answer.judged.plain.cost - saved - bench.freedom, 0.0)
+def nats_of(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
+    """Logarithm of the marginal likelihood of a judged model with unknown dependences, but for a constant."""
+    return _nats_with(bench, now.model, now.stats, now.left, unknown, now.phi)
+
+
+def _nats_with(
+    bench: Workbench,
+    model: Model,
+    stats: Reduced,
+    missing: Knots,
+    unknown: tuple[Dependence, ...],
+    phi: float,
+) -> float:
+    known = nats(bench, model, stats, phi)
+    if not unknown:
+        return known
+    _, precision, _ = bench.known(model)
+    missing = dataclasses.replace(missing, precision=precision)
+    # Beside a disturbance a command already answers, within a knot, the force that acts in it.
+    unknown = unknown if model.beside is None else lagged(missing, unknown)
+    return known + nats_beside(missing, unknown, phi)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
 from .._precision import need_double
-from ..effects import CATALOGUE, AbstractEffect
+from ..effects import CATALOGUE, AbstractEffect, ExchangedThrusters
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._bands import banded
@@ -35,10 +35,14 @@ def gain_of(
     lacks a cause or one begins in a log that is not given.
     """
     need_double("A gain")
-    opened = opened_with(vehicle, train, test, catalogue, None)
-    bench, names = opened.bench, [log.name for log in opened.bench.data.logs]
+    # Columns that are exchanged are no suspect with a number: all else is fitted beside them.
+    exchanged = [cause for cause in causes if isinstance(cause.effect, ExchangedThrusters)]
+    opened = opened_with(vehicle.place(*exchanged), train, test, catalogue, None)
+    bench, names = opened.bench.beside(vehicle), [log.name for log in opened.bench.data.logs]
     model = bench.start()
     for cause in causes:
+        if isinstance(cause.effect, ExchangedThrusters):
+            continue
         i = bench.layout.place_of(cause)
         value = bench.layout.suspects[i].values(cause.effect)
         since = None
