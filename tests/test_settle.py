@@ -390,7 +390,7 @@ def test_a_refit_that_ends_above_twice_the_cost_before_begins_anew(before, cost,
 
 # --- what is unknown ------------------------------------------------------------------------------
 
-FREEDOM, PHI = 1000.0, 2.0
+PHI = 2.0
 
 
 def dependence(dof: int = 0, shapes: int = 3, tied: tuple[str, ...] = ()) -> Dependence:
@@ -400,7 +400,7 @@ def dependence(dof: int = 0, shapes: int = 3, tied: tuple[str, ...] = ()) -> Dep
 def judged_as(model: Model, white: bool = False) -> Judged:
     none: Any = object.__new__(Knots)
     stats = Reduced(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1, 1)))
-    return Judged(model, stats, PHI, none, model, PHI, none, white)
+    return Judged(model, stats, PHI, none, PHI, none, white)
 
 
 def rival_with(found: tuple[Dependence, ...] = (dependence(),)) -> Any:
@@ -499,7 +499,8 @@ def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
     ("alone", "together", "white", "members", "dense", "named"),
     [
         (False, False, False, 1, False, True),
-        (True, False, False, 1, False, False),  # likelier than the names by themselves
+        (True, False, False, 1, False, True),  # than one name by itself, which may have left much to them
+        (True, False, False, 2, False, False),  # than several
         (False, True, False, 1, False, False),  # than names and what else is unknown
         (True, True, True, 1, False, True),  # noise alone is left
         (True, True, False, 0, False, True),  # nothing of the file is changed by the answer
@@ -524,7 +525,7 @@ def test_unknown_dependences_alone_are_the_answer_where_they_are_likelier(
         asked.append(bends)
         return nats
 
-    rival.likelier = likelier
+    rival.likelier, rival.beats = likelier, lambda model, stats: False
     found = Found(model, bench.screen(model), (), ())
     chosen, weighed = _diagnose._chosen(bench, rival, found, lambda words: None)
     assert weighed == rounds
@@ -533,6 +534,13 @@ def test_unknown_dependences_alone_are_the_answer_where_they_are_likelier(
     assert named or (chosen.unknown == rival.dependences and not chosen.changed)
     # A file that was refitted was compared with one that is when unknown dependences were looked for.
     assert members or not any(asked)
+
+
+def test_one_name_is_asked_for_only_beside_what_else_is_unknown():
+    rival = rival_with()
+    rival.likelier = lambda named, phi, bends=True: True
+    one, two = (rival.bench.fit(*range(4, 4 + n)) for n in (1, 2))
+    assert not rival.beats(one, rival.bench.screen(one)) and rival.beats(two, rival.bench.screen(two))
 
 
 def test_names_that_are_beaten_are_not_settled_first(monkeypatch):

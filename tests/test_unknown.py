@@ -1,6 +1,7 @@
 """Dependences of a missing wrench on made-up knots, whose cause is known by construction."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +14,13 @@ from scipy.stats import multivariate_normal
 from experiments.blind.outside import play
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
+from jaxmarine.diagnosis._model import Model, Workbench
 from jaxmarine.diagnosis._score import Reduced, blocks
+from jaxmarine.diagnosis._search import nats
 from jaxmarine.diagnosis._signals import Places, _played
 from jaxmarine.diagnosis._unknown import (
     RIDGES,
+    Dependence,
     _evidence,
     _left_out,
     dependences,
@@ -376,6 +380,67 @@ def test_dependences_beside_known_numbers_are_worth_what_the_densities_say():
     off = dataclasses.replace(k, stats=Reduced(chi2, g + 0.1 * h[:, :, 0], h))
     more = 0.5 * 0.1**2 * float(known @ known)
     assert nats_beside(off, proposed, 1.0) == pytest.approx(gained - tried + more, abs=0.2)
+
+
+@pytest.mark.parametrize("phi", [1.0, 5.0])
+@pytest.mark.parametrize("held", [True, False])
+def test_a_model_beside_two_dependences_is_as_likely_as_the_dense_gaussian_says(phi, held):
+    """Coefficients under a prior and off by most of it, scores that scatter `phi` times as much as noise."""
+    rng = np.random.default_rng(1)
+    u, v = drift(rng, 6.0), drift(rng, 6.0)
+    shapes = np.stack([u, u**2], -1), np.stack([v, np.abs(v) * v, v**3], -1)
+    found = tuple(Dependence(HEAVE, (name,), (), 1.0, x, False) for name, x in zip("uv", shapes, strict=True))
+    flat = [x.reshape(u.size, -1) for x in shapes]
+    first, second = (x / np.sqrt((x**2).mean(axis=0)) for x in flat)
+    x = rng.normal(size=(u.size, 3)) * [1.0, 2.0, 0.3] + 0.3 * u.reshape(-1, 1)
+    prior = np.array([0.3, 0.2, 0.5])
+    y = np.sqrt(phi) * rng.normal(size=u.size) + x @ (prior * [0.5, -1.0, 0.3])
+    y = y + first @ [0.5, -0.3] + second @ [0.4, 0.2, 0.1]
+
+    # Where the coefficients stand by an earlier refit, which does not matter.
+    z = np.zeros(3) if held else prior * [0.4, -0.8, 0.1]
+    precision = (1e12 if held else phi) / prior**2
+    rest, per_window = x @ z - y, []
+    for own in np.arange(u.size).reshape(SHAPE):
+        knotted = np.einsum("ok,a->oka", np.eye(KNOTS), np.eye(6)[HEAVE]).reshape(KNOTS, -1)
+        columns = np.column_stack([x[own], knotted])
+        per_window.append((rest[own] @ rest[own], columns.T @ rest[own], columns.T @ columns))
+    chi2, g, h = (np.array([one[i] for one in per_window]) for i in range(3))
+    k = dataclasses.replace(
+        knots_with(u, {"u": u, "v": v}, rng),
+        stats=Reduced(chi2, g, h),
+        width=3,
+        precision=precision,
+        offset=z,
+    )
+    bench: Any = object.__new__(Workbench)
+    bench.base, bench.known = (0, 1, 2), lambda model: (np.eye(3), precision, z)
+    cost = 0.5 * float(chi2.sum() + precision @ z**2)
+    model = Model((), z, jnp.zeros((0, 12)), cost, frozen=held)
+    told = nats(bench, model, Reduced(chi2, g[:, :3], h[:, :3, :3]), phi) + nats_beside(k, found, phi)
+
+    def density(log_first: float, log_second: float) -> float:
+        covariance = phi * np.eye(u.size) + sum(
+            np.exp(2 * size) * shape @ shape.T for size, shape in ((log_first, first), (log_second, second))
+        )
+        if not held:
+            covariance = covariance + (x * prior**2) @ x.T
+        shrunk = np.linalg.slogdet(covariance)[1] - u.size * np.log(phi)
+        return -0.5 * (shrunk + y @ np.linalg.solve(covariance, y))
+
+    def best(of) -> float:
+        return float(
+            minimize_scalar(
+                lambda size: -of(size), bounds=(-8.0, 4.0), method="bounded", options={"xatol": 0.02}
+            ).x
+        )
+
+    # One after the other, each at the size at which it gains most.
+    one = best(lambda size: density(size, -30.0))
+    other = best(lambda size: density(one, size))
+    tried = 2 * np.log(2**2 * k.free.sum())
+    # Sizes are looked at a quarter apart.
+    assert told == pytest.approx(density(one, other) - tried, abs=0.2)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.15])

@@ -451,7 +451,7 @@ def test_intervals_hold_what_doubted_coefficients_shift(monkeypatch, doubted):
         )
         phi = float((residual**2).mean())
         model = Model((), z, jnp.zeros((windows, 12)), 0.0)
-        now = Judged(model, knots.stats, phi, knots, model, phi, knots, False)
+        now = Judged(model, knots.stats, phi, knots, phi, knots, False)
         white = np.linalg.inv(flat.T @ flat)
         std = np.sqrt(np.diag(white + _answer._considered(bench, now, False)))
         held.append(np.abs(z) < 1.96 * std)

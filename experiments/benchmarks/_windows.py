@@ -95,7 +95,7 @@ def fitting(log: jm.Log, steps: int, families: Sequence[Any] | None = None) -> F
     - `families`: effects whose numbers are the parameters; None: 24 coefficients, off by a little.
     """
     vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
-    noise = np.where(np.arange(18) < 12, vehicle.stated_noise, np.nan)
+    noise = np.where(np.arange(len(vehicle.stated_noise)) < 12, vehicle.stated_noise, np.nan)
     data = cut(vehicle, (log,), noise, steps * DT)
     if families is None:
         families = [cls.neutral(vehicle) for cls in COEFFICIENTS]

@@ -172,13 +172,14 @@ def _chosen(
     bench: Workbench, rival: Unnamed, found: Found, progress: Progress
 ) -> tuple[Answer, tuple[Round, ...]]:
     """Names, unknown dependences, or both: what explains the logs better; and all that was weighed."""
-    if len(found.model.members) > 1 and rival.beats(found.model, found.stats):
+    if rival.beats(found.model, found.stats):
         return _without_names(bench, rival, found.model, (), UNNAMED), found.rounds
     progress(SETTLING)
     model, dense, rounds, dropped = settled(bench, found)
     now = judged(bench, model)
-    # Names have to do better by themselves: beside unknown dependences they would only add to these.
-    if not now.white and model.members and rival.likelier(nats_of(bench, now, ()), now.phi):
+    # Several names together may take the shape of anything, and add to what is unknown like one shape more.
+    several = len(model.members) > 1 and not now.white
+    if several and rival.likelier(nats_of(bench, now, ()), now.phi):
         return _without_names(bench, rival, model, dropped, UNNAMED), rounds
     answer = with_unknown(bench, now, dense, progress)
     if dropped:

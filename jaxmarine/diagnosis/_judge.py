@@ -20,7 +20,7 @@ class Judged:
 
     - `stats`, `phi`: its statistics and the dispersion of the windows' scores, beside its disturbance.
     - `left`: the missing wrench beside the disturbance.
-    - `plain`, `plain_phi`, `knots`: the same model, dispersion and the missing wrench without a disturbance.
+    - `plain_phi`, `knots`: dispersion and the missing wrench of the same model without a disturbance.
     - `white`: whether only sensor noise is left: its size is right, and the scores scatter like it.
     """
 
@@ -28,7 +28,6 @@ class Judged:
     stats: Reduced
     phi: float
     left: Knots
-    plain: Model
     plain_phi: float
     knots: Knots
     white: bool
@@ -44,4 +43,4 @@ def judged(bench: Workbench, model: Model) -> Judged:
     size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
     quiet = missing.stats.chi2.sum() / bench.freedom < size and plain_phi < SCATTER and not bench.raised
     left = missing if plain is model else knots(bench, model)
-    return Judged(model, stats, phi, left, plain, plain_phi, missing, bool(quiet))
+    return Judged(model, stats, phi, left, plain_phi, missing, bool(quiet))

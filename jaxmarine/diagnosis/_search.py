@@ -425,8 +425,8 @@ def nats(bench: Workbench, model: Model, stats: Reduced, phi: float) -> float:
 
     - `phi`: dispersion of the scores, the same for all models that are compared.
     """
-    bends = 0.0 if model.frozen else narrowed(bench, model, stats)
-    return -model.cost / phi - bends - sum(prior_nats(bench, member) for member in model.members)
+    narrow = 0.0 if model.frozen else narrowed(bench, model, stats)
+    return -model.cost / phi - narrow - sum(prior_nats(bench, member) for member in model.members)
 
 
 def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:
@@ -446,7 +446,7 @@ def search(
 ) -> Found:
     """Adds suspects to a refined model one after another until nothing is worth adding.
 
-    - `hopeless`: whether a model with some members is no better than none; asked from the second one on.
+    - `hopeless`: whether a model with some members is no better than none.
     """
     model, stats = _weighted(bench, model, bench.screen(model))
     rounds: list[Round] = []
@@ -471,7 +471,7 @@ def search(
         held = []
         model, stats = _weighted(bench, one.trials[0].model, stats)
         progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
-        if len(model.members) > 1 and hopeless(model, stats):
+        if hopeless(model, stats):
             break
     return Found(model, stats, tuple(rounds), tuple(held))
 

@@ -15,7 +15,6 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
-from ._knots import Knots
 from ._model import Beside, Model, Workbench
 from ._result import Dropped
 from ._score import Reduced
@@ -157,49 +156,58 @@ class Unnamed:
         return Answer(self.judged, self.dependences, False)
 
     def beats(self, model: Model, stats: Reduced) -> bool:
-        """`likelier` than members alone, before it is known what else the logs depend on beside them."""
+        """`likelier` than several members alone, before it is known what else the logs depend on.
+
+        Of one it is asked only beside what else is unknown: a true name alone may leave much to that.
+        """
+        if len(model.members) < 2:
+            return False
         phi = dispersion(self.bench, model, stats)
         return self.likelier(nats(self.bench, model, stats, phi), phi)
 
     def likelier(self, named: float, phi: float, bends: bool = True) -> bool:
         """Whether the file with unknown dependences makes the logs likelier than an answer that has `named`.
 
-        All in nats at the answer's dispersion `phi`: what neither explains pushes both alike.
+        In nats, both at the dispersion `phi` of the answer, in which what it does not explain still stands.
 
-        - `bends`: the file's coefficients may be refitted with them; a file that was refitted itself has been
-          compared with that already.
+        - `bends`: the file's coefficients may bend within their prior, as beside names they may; a file that
+          was refitted itself has been compared with that already. The answer has them as filed all the same.
         """
         if not self.dependences:
             return False
-        now = self.judged
-        ways = [dataclasses.replace(now.model, frozen=True)]
-        if bends:
-            ways.append(dataclasses.replace(now.model, frozen=False, weight=max(now.model.weight, phi)))
-        parts = now.stats, now.left, self.dependences, phi
-        return bool(max(_nats_with(self.bench, one, *parts) for one in ways) > named)
+        return bool(nats_of(self.bench, self.judged, self.dependences, phi, bends) > named)
 
 
-def nats_of(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> float:
-    """Logarithm of the marginal likelihood of a judged model with unknown dependences, but for a constant."""
-    return _nats_with(bench, now.model, now.stats, now.left, unknown, now.phi)
+def nats_of(
+    bench: Workbench,
+    now: Judged,
+    unknown: tuple[Dependence, ...],
+    phi: float | None = None,
+    bends: bool = True,
+) -> float:
+    """Logarithm of the marginal likelihood of a judged model with unknown dependences, but for a constant.
+
+    Of coefficients of the file that are held, the better of that and of bending within their prior, by the
+    linearisation where they are held.
+
+    - `phi`: dispersion of the scores, that of the model by default.
+    """
+    phi = now.phi if phi is None else phi
+    ways = [now.model]
+    if bends and now.model.frozen:
+        # Of this weight, so that the prior stays that of the file where all else counts a phi-th.
+        ways.append(dataclasses.replace(now.model, frozen=False, weight=phi))
+    return max(_nats_with(bench, now, way, unknown, phi) for way in ways)
 
 
 def _nats_with(
-    bench: Workbench,
-    model: Model,
-    stats: Reduced,
-    missing: Knots,
-    unknown: tuple[Dependence, ...],
-    phi: float,
+    bench: Workbench, now: Judged, way: Model, unknown: tuple[Dependence, ...], phi: float
 ) -> float:
-    known = nats(bench, model, stats, phi)
-    if not unknown:
-        return known
-    _, precision, _ = bench.known(model)
-    missing = dataclasses.replace(missing, precision=precision)
+    _, precision, _ = bench.known(way)
+    missing = dataclasses.replace(now.left, precision=precision)
     # Beside a disturbance a command already answers, within a knot, the force that acts in it.
-    unknown = unknown if model.beside is None else lagged(missing, unknown)
-    return known + nats_beside(missing, unknown, phi)
+    found = unknown if way.beside is None else lagged(missing, unknown)
+    return nats(bench, way, now.stats, phi) + nats_beside(missing, found, phi)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
