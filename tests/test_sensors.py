@@ -167,6 +167,17 @@ def test_a_log_without_them_is_as_wide_as_ever(tmp_path):
     assert empty.channels.shape[1] == ALWAYS and any("fz" in note for note in empty.notes)
 
 
+@pytest.mark.parametrize(
+    ("shown", "said"), [(-9.7, False), (-8.0, False), (9.8, True), (-1.0, True), (0.0, True), (-32.2, True)]
+)
+def test_an_accelerometer_in_other_units_or_of_the_other_sign_is_told(shown, said):
+    """Of a craft that mostly lies level; in g, in feet, with gravity taken off or counted upwards."""
+    vehicle = packaged("blueboat")
+    log = jm.read_log(table(vehicle, fz=lambda t, rng: shown + 0.2 * rng.standard_normal(len(t))), vehicle)
+    told = [str(note) for note in log.notes if "`fz`" in note]
+    assert bool(told) == said and all("is it in g, of the other sign, or without gravity?" in n for n in told)
+
+
 def test_a_log_with_them_survives_a_file(tmp_path):
     vehicle = packaged("blueboat")
     log = jm.read_log(table(vehicle, v_water=lambda t, rng: rng.standard_normal(len(t))), vehicle)

@@ -32,6 +32,8 @@ _MIN_ROWS = 10
 _ROUNDING = 1e-3
 # A jump by which an angle in degrees is wrapped; in radians it would be more than a turn and a half.
 _DEGREES = 3 * np.pi
+# What an accelerometer shows of the earth's pull [m/s²]; where on the earth makes no difference here.
+_GRAVITY = 9.81
 
 
 def read_log(
@@ -175,6 +177,14 @@ def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) ->
             file.notes.append(
                 f"Column {file.label(name)} is about {np.nanmedian(size):.2g} rad most of the time, as of a "
                 "vehicle on its back: is its frame right?"
+            )
+    if "fz" in seen:
+        middle = np.nanmedian(channels[:, ALL_CHANNELS.index("fz")])
+        # Half more or less is no error of a sensor, nor a roll that a craft keeps for most of a log.
+        if not -1.5 * _GRAVITY < middle < -0.5 * _GRAVITY:
+            file.notes.append(
+                f"Column {file.label('fz')} is about {middle:.2g} m/s² most of the time, but a craft at rest "
+                f"and level shows {-_GRAVITY:g}: is it in g, of the other sign, or without gravity?"
             )
 
 
