@@ -141,6 +141,7 @@ def test_too_few_good_starts_are_said_and_all_are_scored():
     assert not found.sound and found.starts == 7 and found.unscored[0].count == 3
 
 
+@pytest.mark.slow
 def test_a_position_that_jumps_spoils_the_starts_after_it_and_no_others():
     """A boat's log whose fixes jump by 3 m at 20 s, predicted with half the port thrust and as it is."""
     craft = boat()

@@ -186,7 +186,7 @@ def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
         bench = workbench(craft, (jm.read_log(folder / "train.csv", craft),), CATALOGUE, None)
     widths = np.array([c.prior for c in bench.base])
     light = bench.fitted(bench.start())
-    found = search(bench, light, silent, lambda model: False).model
+    found = search(bench, light, silent, lambda model, stats: False).model
     assert np.abs(light.z / widths).max() > 5.0
     assert found.members == () and np.abs(found.z / widths).max() < 3.0
 

@@ -91,7 +91,7 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
     # Refitted all the same, it stays where it was and changes nothing.
     refitted = bench.refine(bench.with_member(model, Member(blind[0]), np.zeros(1)))
     assert refitted.z[-1] == 0.0 and refitted.cost == pytest.approx(model.cost, rel=1e-6)
-    found = search(bench, model, silent, lambda model: False)
+    found = search(bench, model, silent, lambda model, stats: False)
     assert [labels[member.suspect] for member in found.model.members] == ["thruster_gain:port"]
     saved = [trial.saved for one in found.rounds for trial in one.trials if trial.member.suspect in blind]
     assert np.abs(saved).max(initial=0.0) < 1.0
@@ -196,6 +196,7 @@ def test_groups_are_few_and_of_one_log(counts):
     assert all(len(set(log[group == g])) == 1 for g in range(group[-1] + 1))
 
 
+@pytest.mark.slow
 def test_windows_screened_in_groups_say_the_same_together(monkeypatch):
     log = record(boat(), steps())
     each = workbench(boat(), (log,), CATALOGUE, None)
