@@ -60,8 +60,8 @@ def _specific_force(seen: Moving) -> Vector3:
 class Sensor(NamedTuple):
     """One kind of sensor: a key of the vehicle file's table [sensors], and three columns of a log.
 
-    - `channels`: of the axes surge, sway, heave or roll, pitch, yaw in turn; `unit` of each; `titles`: the
-      kind in a reader's words, and each channel.
+    - `channels`: of the axes surge, sway, heave or roll, pitch, yaw in turn; `unit` of each.
+    - `title`: the kind in a reader's words; `titles`: each channel.
     - `turns`: whether it is of the axes that turn.
     - `in_body`: whether these are the components of a vector along body axes.
     - `jumps`: whether it shows accelerations, which jump with the commands.
@@ -72,7 +72,8 @@ class Sensor(NamedTuple):
     kind: str
     channels: tuple[str, str, str]
     unit: str
-    titles: tuple[str, str, str, str]
+    title: str
+    titles: tuple[str, str, str]
     turns: bool = False
     in_body: bool = True
     jumps: bool = False
@@ -94,14 +95,16 @@ TABLE = (
         "position",
         POSITION,
         "m",
-        ("Position", "north position x", "east position y", "down position z"),
+        "Position",
+        ("north position x", "east position y", "down position z"),
         in_body=False,
     ),
     Sensor(
         "attitude",
         ATTITUDE,
         "rad",
-        ("Attitude", "roll angle phi", "pitch angle theta", "heading psi"),
+        "Attitude",
+        ("roll angle phi", "pitch angle theta", "heading psi"),
         turns=True,
         in_body=False,
     ),
@@ -109,22 +112,24 @@ TABLE = (
         "velocity",
         VELOCITY,
         "m/s",
-        ("Velocity", "surge velocity u", "sway velocity v", "heave velocity w"),
+        "Velocity",
+        ("surge velocity u", "sway velocity v", "heave velocity w"),
     ),
-    Sensor("rate", RATE, "rad/s", ("Turning rate", "roll rate p", "pitch rate q", "yaw rate r"), turns=True),
+    Sensor("rate", RATE, "rad/s", "Turning rate", ("roll rate p", "pitch rate q", "yaw rate r"), turns=True),
     Sensor(
         "acceleration",
         ACCELERATION,
         "m/s²",
-        ("Acceleration", "surge acceleration du", "sway acceleration dv", "heave acceleration dw"),
+        "Acceleration",
+        ("surge acceleration du", "sway acceleration dv", "heave acceleration dw"),
         jumps=True,
     ),
     Sensor(
         "angular_acceleration",
         ANGULAR_ACCELERATION,
         "rad/s²",
+        "Angular acceleration",
         (
-            "Angular acceleration",
             "roll acceleration dp",
             "pitch acceleration dq",
             "yaw acceleration dr",
@@ -136,8 +141,8 @@ TABLE = (
         "water_velocity",
         WATER_VELOCITY,
         "m/s",
+        "Velocity through the water",
         (
-            "Velocity through the water",
             "surge velocity through the water",
             "sway velocity through the water",
             "heave velocity through the water",
@@ -148,7 +153,8 @@ TABLE = (
         "specific_force",
         SPECIFIC_FORCE,
         "m/s²",
-        ("Specific force", "specific force fx", "specific force fy", "specific force fz"),
+        "Specific force",
+        ("specific force fx", "specific force fy", "specific force fz"),
         jumps=True,
         shows=_specific_force,
     ),

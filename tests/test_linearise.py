@@ -15,6 +15,7 @@ from jaxmarine._types import CHANNELS
 from jaxmarine.effects import CATALOGUE, AbstractEffect, FluidMemory, SensorEffect
 from jaxmarine.fitting import (
     Affine,
+    Cut,
     Problem,
     _linearise,
     _rollout,
@@ -46,6 +47,18 @@ class Saturated(eqx.Module):
         del segment
         _, unravel = jax.flatten_util.ravel_pytree(self.families)
         return self.vehicle.plant(extra=unravel(theta))
+
+
+def saturated_problem(vehicle: Vehicle, families: tuple, data: Cut) -> Problem:
+    """Windows of logs that a vehicle with these effects beside its own is to predict."""
+    return Problem(
+        Saturated(vehicle, families),
+        data.records,
+        data.windows,
+        jnp.asarray(start_precision(vehicle.free)),
+        measured_channels(data.windows),
+        axes=vehicle.axes,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,14 +111,7 @@ def case(name: str, segments: int, logs: int) -> Case:
         recordings.append(log_of(vehicle, t, commands, channels=shown, name=f"{g}.csv"))
     acting = [np.minimum(np.arange(len(t)) // 45 + g, segments - 1) for g in range(logs)]
     data = cut(vehicle, recordings, independent(name).noise, LENGTH, segments=acting)
-    problem = Problem(
-        Saturated(vehicle, families),
-        data.records,
-        data.windows,
-        jnp.asarray(start_precision(vehicle.free)),
-        measured_channels(data.windows),
-        axes=vehicle.axes,
-    )
+    problem = saturated_problem(vehicle, families, data)
     # Each parameter acts in some segments and not in others.
     acts = (rng.random((segments, len(neutral))) < 0.7) | (np.arange(segments)[:, None] == 0)
     affine = Affine(jnp.asarray(theta), jnp.eye(len(neutral)), jnp.asarray(acts, float))

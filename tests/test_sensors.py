@@ -18,18 +18,14 @@ from jaxmarine.effects import CATALOGUE, CompassDeviation, GyroBias, LinearDampi
 from jaxmarine.examples import hidden, recorded
 from jaxmarine.fitting import (
     Affine,
-    Problem,
     cut,
-    linearise,
-    measured_channels,
     predict,
-    start_precision,
 )
 from jaxmarine.logs import Log, alike, sensor_noise
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Vehicle
 from tests.crafts import brick, log_of, packaged, random_commands, random_start
-from tests.test_linearise import Saturated
+from tests.test_linearise import by_recursion, saturated_problem
 
 WATER, FORCE = ("u_water", "v_water", "w_water"), ("fx", "fy", "fz")
 BOTH = ("water_velocity", "specific_force")
@@ -293,11 +289,6 @@ def test_a_diagnosis_uses_them():
 
 
 @eqx.filter_jit
-def by_recursion(problem, affine, delta):
-    return linearise(problem, affine, delta)
-
-
-@eqx.filter_jit
 def by_forward_mode(problem, theta, delta):
     def residuals(z, move):
         out = predict(problem, theta + z[None], delta + move[None])[1]
@@ -322,14 +313,7 @@ def test_their_slopes_are_those_of_forward_mode():
     seen = only(log_of(vehicle, t, commands, channels=shown), *"uvr", "psi", *WATER, *FORCE)
     noise = np.where(np.isfinite(seen.channels).any(axis=0), 0.02, np.nan)
     data = cut(vehicle, [seen], noise, length)
-    problem = Problem(
-        Saturated(vehicle, families),
-        data.records,
-        data.windows,
-        jnp.asarray(start_precision(vehicle.free)),
-        measured_channels(data.windows),
-        axes=vehicle.axes,
-    )
+    problem = saturated_problem(vehicle, families, data)
     assert {ALL_CHANNELS[i] for i in problem.channels} == {*"uvr", "psi", "u_water", "v_water", "fx", "fy"}
     delta = 1e-2 * np.random.default_rng(3).normal(size=(data.windows.count, 12))
     affine = Affine(theta[None], jnp.eye(len(theta)), jnp.ones((1, len(theta))))

@@ -23,10 +23,8 @@ from .._types import (
 from ..diagnosis import Diagnosis, MissingWrench, Predictions, Weighed
 from ..logs import moment
 
-GROUP_TITLES = {one.kind: one.titles[0] for one in TABLE}
-CHANNEL_TITLES = {
-    name: title for one in TABLE for name, title in zip(one.channels, one.titles[1:], strict=True)
-}
+GROUP_TITLES = {one.kind: one.title for one in TABLE}
+CHANNEL_TITLES = {name: title for one in TABLE for name, title in zip(one.channels, one.titles, strict=True)}
 _UNITS = {str(name): unit for name, unit in CHANNEL_UNITS.items()}
 _DEGREES = 180.0 / np.pi
 _STEPS = 150  # that are drawn of one prediction
@@ -95,7 +93,7 @@ def errors_by_horizon(predictions: Predictions) -> tuple[GroupError, ...]:
             columns = [column for column, kept in zip(columns, measured, strict=True) if kept]
             out.append(
                 GroupError(
-                    title=one.titles[0],
+                    title=one.title,
                     unit=shown_unit(one.channels[0]),
                     horizon=horizon,
                     errors={
