@@ -16,6 +16,7 @@ from ._errors import InputError as InputError
 from ._start import keep_programs as keep_programs
 from ._version import __version__ as __version__
 from .allocation import allocate as allocate
+from .diagnosis import Criteria as Criteria
 from .diagnosis import Diagnosis as Diagnosis
 from .diagnosis import Finding as Finding
 from .diagnosis import diagnose as diagnose

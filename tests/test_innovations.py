@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxmarine.diagnosis._innovations import PAST, STRONG, Remembered, _evidence, told
+from jaxmarine.diagnosis import Criteria
+from jaxmarine.diagnosis._innovations import PAST, Remembered, _evidence, told
 
 SAMPLES, TRIALS = 2000, 100
 
@@ -17,8 +18,8 @@ def test_noise_remembers_nothing():
     rng = np.random.default_rng(1)
     for _ in range(TRIALS):
         white, command = rng.normal(size=SAMPLES), np.repeat(rng.normal(size=SAMPLES // 10), 10)
-        assert best(white, command)[0] < STRONG
-        assert best(white, white)[0] < STRONG
+        assert best(white, command)[0] < Criteria().close
+        assert best(white, white)[0] < Criteria().close
 
 
 @pytest.mark.parametrize("ago", PAST)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmarine.diagnosis import _search
+from jaxmarine.diagnosis import Criteria, _search
 from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
 from jaxmarine.diagnosis._score import Reduced, scatter, t_value
 
@@ -25,6 +25,7 @@ class Bench(Workbench):
         columns = [np.ones((1, 2))] * SUSPECTS
         layout: Any = SimpleNamespace(suspects=range(SUSPECTS), columns=columns)
         self.layout, self.group_windows, self.samples = layout, np.arange(100), 1000
+        self.criteria = Criteria()
 
     def known(self, model):
         return np.eye(ALL)[:, :KNOWN], np.full(KNOWN, PRIOR), self.known_at
@@ -110,5 +111,7 @@ def test_what_a_finding_must_save():
     always, late = Member(0), Member(0, Beginning(0, 30.0))
     assert _search.penalty(Bench(), always) == pytest.approx(2 * np.log(1000))
     assert _search.penalty(Bench(), late) == pytest.approx(3 * np.log(1000))
-    assert _search.needed(Bench(), always, 2.0) == pytest.approx(2 * (4 + 2 * np.log(6) + 24))
-    assert _search.needed(Bench(), late, 2.0) == pytest.approx(2 * (4 + 2 * np.log(600) + 24))
+    for member, tried, price in ((always, 6, 2 * np.log(1000)), (late, 600, 3 * np.log(1000))):
+        least = price + 2 * np.log(tried) + 2 * np.log(150)
+        assert _search.needed(Bench(), member, 2.0) == pytest.approx(2 * least)
+    assert _search.least_needed(Bench()) == pytest.approx(_search.needed(Bench(), always, 1.0))

@@ -23,11 +23,14 @@ from jaxmarine.diagnosis._unknown import (
     Dependence,
     _evidence,
     _left_out,
+    acting,
+    cost_of_removal,
     dependences,
     likely,
     nats_beside,
     size_only,
 )
+from jaxmarine.diagnosis._unnamed import _scatter_beside
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -441,6 +444,45 @@ def test_a_model_beside_two_dependences_is_as_likely_as_the_dense_gaussian_says(
     tried = 2 * np.log(2**2 * k.free.sum())
     # Sizes are looked at a quarter apart.
     assert told == pytest.approx(density(one, other) - tried, abs=0.2)
+
+
+def test_a_member_is_worth_what_it_saves_beside_dependences_by_scores_without_them():
+    """Against dense least squares: one member that acts beside a force, and one that only resembles it."""
+    rng = np.random.default_rng(5)
+    u = drift(rng, 6.0)
+    shapes = np.stack([u, u**2], -1)
+    found = (Dependence(HEAVE, ("u",), (), 1.0, shapes, False),)
+    x = np.stack([np.sin(0.3 * np.arange(u.size)), (u + 0.3 * rng.normal(size=SHAPE)).ravel()], -1)
+    flat = shapes.reshape(u.size, -1)
+    y = 0.5 * x[:, 0] + flat @ [3.0, -2.0] + rng.normal(size=u.size)
+    z = np.linalg.lstsq(x, y)[0]
+    rest, per_window = x @ z - y, []
+    for own in np.arange(u.size).reshape(SHAPE):
+        columns = np.column_stack(
+            [x[own], np.einsum("ok,a->oka", np.eye(KNOTS), np.eye(6)[HEAVE]).reshape(KNOTS, -1)]
+        )
+        per_window.append((rest[own] @ rest[own], columns.T @ rest[own], columns.T @ columns))
+    chi2, g, h = (np.array([one[i] for one in per_window]) for i in range(3))
+    k = dataclasses.replace(
+        knots_with(u, {"u": u}, rng), stats=Reduced(chi2, g, h), width=2, precision=np.zeros(2), offset=z
+    )
+
+    def left(*columns: np.ndarray) -> float:
+        dense = np.column_stack(columns)
+        return float(((dense @ np.linalg.lstsq(dense, y)[0] - y) ** 2).sum())
+
+    members = [slice(0, 1), slice(1, 2)]
+    least = left(x, flat)
+    dense = [left(x[:, [1]], flat) - least, left(x[:, [0]], flat) - least]
+    # The knots' information is widened by a millionth.
+    assert cost_of_removal(k, members, found) == pytest.approx(dense, rel=1e-2, abs=0.1)
+    assert dense[0] > 50.0 > 5.0 > dense[1]
+    assert acting(k, found).stats.chi2.sum() == pytest.approx(least, rel=1e-4)
+    # Of 60 windows or so; without the dependence, what it explains scatters the scores.
+    for where in members:
+        assert _scatter_beside(k, where, found) == pytest.approx(1.0, abs=0.5)
+    without = dataclasses.replace(found[0], features=np.zeros((*SHAPE, 0)))
+    assert _scatter_beside(k, members[1], (without,)) > 2.0
 
 
 @pytest.mark.parametrize("size", [0.0, 0.15])

@@ -12,7 +12,7 @@ import pytest
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
 from jaxmarine._progress import silent
-from jaxmarine.diagnosis import Gain, _answer, _model, diagnose
+from jaxmarine.diagnosis import Criteria, Gain, _answer, _model, diagnose
 from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
@@ -29,6 +29,7 @@ from jaxmarine.effects import (
     CATALOGUE,
     AddedMass,
     FluidMemory,
+    InputDelay,
     LinearDamping,
     QuadraticDamping,
     ReverseThrust,
@@ -111,7 +112,7 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
 def test_names_that_leave_the_error_as_it_is_buy_nothing(ratio, interval, nothing):
     for held_out in (True, False):
         gain = Gain(5.0, None, None, ratio, interval, held_out, 60)
-        assert buys_nothing(gain) == (nothing and held_out)
+        assert buys_nothing(gain, Criteria().gain) == (nothing and held_out)
 
 
 @pytest.mark.parametrize(
@@ -258,6 +259,20 @@ def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():
     residual = predict(bench.problem(()), jnp.asarray(bench.theta(found)), found.delta)[1][: bench.count]
     # Of the channels whose noise is stated: a hundredth of it, as the starts are fitted to so much.
     assert np.sqrt((np.asarray(residual) ** 2).mean(axis=(0, 1)))[:12].max() < 0.01
+
+
+@pytest.mark.parametrize(("start", "stuck"), [(0.3, True), (0.75, True), (1.1, False)])
+def test_a_late_command_is_found_over_the_steps_that_accelerometers_show(start, stuck):
+    """New commands at each sample, of which an accelerometer shows the one that acts then: 0.82 s late."""
+    craft = boat(sensors=NOISE | {"acceleration": 0.02})
+    late = craft.place(Placed(InputDelay(jnp.array(0.82))))
+    log = record(late, steps(400, hold=1), NOISE | {"acceleration": 0.02})
+    bench = workbench(craft, (log,), (InputDelay,), None)
+    model = bench.with_member(bench.start(), Member(0), np.array([start]))
+    found = bench.likeliest(model)
+    assert found.z[-1] == pytest.approx(0.82, abs=0.01)
+    # A slope alone may lead no further than to the end of a step.
+    assert (bench.refine(model).cost > 2 * found.cost) == stuck
 
 
 def test_a_vehicle_that_runs_away_is_told_so():
@@ -430,14 +445,15 @@ def test_intervals_hold_what_doubted_coefficients_shift(monkeypatch, doubted):
     monkeypatch.setattr(_answer, "couplings", lambda vehicle, places: values)
     bench: Any = object.__new__(Workbench)
     bench.base, bench.vehicle, bench.layout = (), boat(), SimpleNamespace(suspects=())
+    bench.criteria = Criteria()
     held, errors = [], []
     for _ in range(draws):
         jacobian = rng.normal(size=(windows, rows, 2 + 6))
         # The wrong ones push where the estimated ones do, too.
         jacobian[:, :, 2:5] += jacobian[:, :, :1]
         truth = rng.normal(size=3)
-        jacobian[:, :, 2:5] *= doubted / _answer.FILE_ERROR
-        wrong = _answer.FILE_ERROR * truth
+        jacobian[:, :, 2:5] *= doubted / Criteria().file_error
+        wrong = Criteria().file_error * truth
         y = jacobian[:, :, 2:5] @ wrong + rng.normal(size=(windows, rows))
         flat = jacobian[:, :, :2].reshape(-1, 2)
         z = np.linalg.lstsq(flat, y.ravel())[0]

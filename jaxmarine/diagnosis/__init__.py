@@ -1,6 +1,7 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
 from .._progress import Estimate as Estimate
+from ._criteria import Criteria as Criteria
 from ._diagnose import diagnose as diagnose
 from ._filed import Coefficient as Coefficient
 from ._filed import base_coefficients as base_coefficients
@@ -58,5 +59,4 @@ from ._saturated import Layout as Layout
 from ._saturated import SaturatedPlant as SaturatedPlant
 from ._saturated import saturate as saturate
 from ._score import solve as solve
-from ._search import CLOSE as CLOSE
 from ._worth import gain_of as gain_of

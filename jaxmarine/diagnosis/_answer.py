@@ -9,12 +9,12 @@ from jaxtyping import Float
 from ..effects import place
 from ..vehicle import Placed, Vehicle
 from ._couplings import couplings
-from ._filed import FILE_ERROR, refiled
+from ._filed import refiled
 from ._judge import Judged
 from ._model import Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import lasting, solve
-from ._search import CLOSE, ROUGH, STEPS, Round, evidence, putting_back
+from ._search import ROUGH, STEPS, Round, evidence, putting_back
 
 # Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
 MOST_CLOSE, OTHERS = 2, 4
@@ -77,7 +77,7 @@ def _covariance(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     known, precision, _ = bench.known(now.model)
     priors, bends = np.array([c.prior for c in bench.base]), ~bench.held(now.model)
     off = np.zeros(len(precision))
-    off[: len(priors)] = wrong_by(bench, now.model) / FILE_ERROR * priors * bends
+    off[: len(priors)] = astray_by(bench, now.model) * priors * bends
     h = known.T @ now.stats.h.sum(0) @ known
     covariance = spread(now.stats.g @ known, h, precision, off, now.white)
     return covariance if now.white else covariance + _considered(bench, now, dense)
@@ -91,13 +91,13 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     say a mean and a covariance.
     """
     count = len(bench.base)
-    share = wrong_by(bench, now.model)
+    times, share = astray_by(bench, now.model), wrong_by(bench, now.model)
     g, h = now.knots.summed(couplings(bench.vehicle, now.knots.places))
     width = now.knots.width
     filed = [] if dense else np.flatnonzero(~bench.stood_for(now.model))
     estimated = np.arange(0 if dense else count, width)
     doubted = np.array([*filed, *range(width, len(h))], dtype=int)
-    size = share * np.array([*(bench.base[j].prior / FILE_ERROR for j in filed), *np.ones(len(h) - width)])
+    size = np.array([*(times * bench.base[j].prior for j in filed), *np.full(len(h) - width, share)])
     across = h[np.ix_(estimated, doubted)] * size
     shift = solve(h[np.ix_(estimated, estimated)] + np.diag(now.knots.precision[estimated]), across)
     told = size[:, None] * h[np.ix_(doubted, doubted)] * size - across.T @ shift
@@ -112,9 +112,14 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
 
 
 def wrong_by(bench: Workbench, model: Model) -> float:
-    """By what share the coefficients of the file are off: the spread of those that were recalibrated."""
+    """By what share the coefficients of the file are off."""
+    return bench.criteria.file_error * astray_by(bench, model)
+
+
+def astray_by(bench: Workbench, model: Model) -> float:
+    """How many times their prior the coefficients of the file are off, by the spread of recalibrated ones."""
     shares = [abs(z) / c.prior for c, z in zip(bench.base, model.z, strict=False) if c.value]
-    return FILE_ERROR * max(1.0, 1.48 * float(np.median(shares)) if shares else 0.0)
+    return max(1.0, 1.48 * float(np.median(shares)) if shares else 0.0)
 
 
 def standard_errors(bench: Workbench, now: Judged, dense: bool) -> Float[np.ndarray, " z"]:
@@ -180,7 +185,7 @@ def alternatives(
         said.add(trial.member.suspect)
         behind = won - evidence(bench, trial.member, trial.saved, phi)
         # No more than some are said to be as good as the finding: a list of all would say nothing.
-        close = 2 * behind < CLOSE and sum(a.indistinguishable for a in out) < MOST_CLOSE
+        close = behind < bench.criteria.close and sum(a.indistinguishable for a in out) < MOST_CLOSE
         out.append(Alternative(suspect.effect.name, suspect.target, beside - behind, close))
     out.sort(key=lambda a: not a.indistinguishable)
     return tuple(out[: MOST_CLOSE + OTHERS])

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ._model import Member, Model, Workbench
-from ._score import solve, t_value
+from ._score import solve
 from ._search import (
     CHANCES,
-    NEARLY,
-    SIGMAS,
     Round,
     Trial,
-    evidence,
+    by_evidence,
     needed,
+    own_dispersion,
     penalty,
     putting_back,
     replaces,
@@ -22,8 +21,6 @@ from ._search import (
     weigh,
 )
 
-# More coefficients than this being off means a file that is a little wrong everywhere.
-FEW = 2
 # A refit with coefficients put back that ends above this many times the cost before may have gone astray.
 ASTRAY = 2.0
 
@@ -72,7 +69,7 @@ def settle(
     """
     chosen = _needed_changes(bench, model, phi)
     rounds: list[Round] = []
-    if len(chosen) <= FEW:
+    if len(chosen) <= bench.criteria.few:
         frozen = _with_changes(bench, model, chosen)
     else:
         cause = _one_for_many(bench, model, held, len(chosen), phi)
@@ -81,8 +78,9 @@ def settle(
         model, frozen, trials = cause
         rounds.append(Round(trials, True, phi))
     for i in reversed(range(len(model.members), len(frozen.members))):
-        lost = putting_back(bench, frozen, bench.screen(frozen), bench.slices(frozen.members)[i])
-        if t_value(lost) < SIGMAS:
+        stats, where = bench.screen(frozen), bench.slices(frozen.members)[i]
+        own = own_dispersion(bench, frozen, stats, where, phi)
+        if putting_back(bench, frozen, stats, where).sum() < needed(bench, frozen.members[i], own):
             # A few windows pulled it there.
             frozen = _refitted(bench, bench.without_member(frozen, i), frozen.cost)
     for member in frozen.members[len(model.members) :]:
@@ -116,7 +114,7 @@ def _one_for_many(
             continue
         chosen = _needed_changes(bench, free, phi)
         simpler = (many - len(chosen)) * np.log(bench.samples) - penalty(bench, trial.member)
-        if len(chosen) > FEW or simpler < 0:
+        if len(chosen) > bench.criteria.few or simpler < 0:
             continue
         frozen = _with_changes(bench, free, chosen)
         if bench.stands(frozen, trial.model) and 2 * (frozen.cost - model.cost) / phi < simpler:
@@ -147,13 +145,8 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
     less = bench.refine(bent)
     same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
     own = trial_of(less, member, same)
-    trials = [own]
-    for trial in weigh(bench, less, bench.screen(less)):
-        if trial.member.suspect != member.suspect:
-            near = trial.saved > NEARLY * own.saved
-            exact = bench.refine(trial.model) if near else trial.model
-            trials.append(trial_of(less, trial.member, exact))
-    trials.sort(key=lambda t: -evidence(bench, t.member, t.saved, phi))
+    others = [t for t in weigh(bench, less, bench.screen(less)) if t.member.suspect != member.suspect]
+    trials = by_evidence(bench, less, own, others, phi)
     best = next(t for t in trials if t is own or bench.stands(t.model, less))
     if best is not own:
         instead = dataclasses.replace(best.model, frozen=True, held=model.held, z=best.model.z.copy())

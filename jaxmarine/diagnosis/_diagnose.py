@@ -14,6 +14,7 @@ from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
+from ._criteria import DEFAULT, Criteria
 from ._disturbed import in_words, known
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
@@ -46,6 +47,7 @@ def diagnose(
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
     window: float | None = None,
     progress: Progress = silent,
+    criteria: Criteria = DEFAULT,
 ) -> Diagnosis:
     """Shows what a vehicle gets wrong on its logs, names the cause, extends it and measures the gain.
 
@@ -55,13 +57,14 @@ def diagnose(
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage; what they say of the share that is done, and of the
       time that is left, `jaxmarine.diagnosis.Estimate` tells.
+    - `criteria`: when something is said.
 
     Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
     runs away along them, where no test log measures what they measure, and where effects have more
     parameters or begin at more times than there is room for; `ValueError` in single precision.
     """
     need_double("A diagnosis")
-    opened = opened_with(vehicle, train, test, catalogue, window, progress)
+    opened = opened_with(vehicle, train, test, catalogue, window, progress, criteria)
     if opened.nameless:
         bench, rounds, measured, told, lost = opened.bench, (), None, [], ()
         rival = Unnamed(bench, _begun(opened).beside)
@@ -86,7 +89,8 @@ def diagnose(
     unexplained = _unexplained(answer, terms)
     if not now.white:
         axes = {one.target for one in unexplained}
-        unexplained += excesses(missing, (vehicle, extended), logs, now.plain_phi, axes, bench.quiet)
+        both, steerable = (vehicle, extended), criteria.steerable
+        unexplained += excesses(missing, both, logs, now.plain_phi, axes, bench.quiet, steerable)
     missed = _missed(bench, now.model)
     disturbance = None if model.beside is None else known(model.beside.force)
     verdicts: dict[tuple[bool, bool], Verdict] = {
@@ -216,7 +220,7 @@ def _worthwhile(
         return answer, None, []
     measured, names = measured_gain(bench, answer.model, True, (), tests), together([t.name for t in tests])
     more = _likelier_by(bench, rival, answer.model, tests)
-    idle = buys_nothing(measured[0])
+    idle = buys_nothing(measured[0], bench.criteria.gain)
     if idle or (more is not None and more < 0):
         how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
         told = [f"{what} {how} {names}; it was dropped."]

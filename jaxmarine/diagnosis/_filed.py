@@ -12,10 +12,9 @@ from .._types import DOFS
 from ..effects import CATALOGUE, AbstractEffect, Suspect
 from ..fitting import PRIOR_KEYS
 from ..vehicle import Vehicle
+from ._criteria import DEFAULT
 from ._saturated import Layout
 
-# How far coefficients of a vehicle file are commonly wrong, relative to their value.
-FILE_ERROR = 0.1
 # Those that change an entry of a matrix that the file has.
 FILED: tuple[type[AbstractEffect], ...] = tuple(effect for effect in CATALOGUE if effect.filed)
 
@@ -42,9 +41,11 @@ class Coefficient:
         return self.place[0] == self.place[1]
 
 
-def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ...]:
-    """Added mass and damping of each free axis, with priors of a tenth of their value; then added mass and
-    linear damping between axes, where the file has some.
+def base_coefficients(
+    vehicle: Vehicle, layout: Layout, file_error: float = DEFAULT.file_error
+) -> tuple[Coefficient, ...]:
+    """Added mass and damping of each free axis, with priors of a share of their value, `file_error`; then
+    added mass and linear damping between axes, where the file has some.
 
     Of the total mass for added mass. Where the file's table `[prior]` says by how much of their value they
     may be off, it is that. Where the file says zero on an axis, the prior is what brakes it by 2 % a second
@@ -70,7 +71,7 @@ def base_coefficients(vehicle: Vehicle, layout: Layout) -> tuple[Coefficient, ..
                 (row, column),
                 int(np.flatnonzero(layout.columns[i][:, 0])[0]),
                 float(value),
-                share * abs(value) or FILE_ERROR * abs(scale) or 0.02 * mass[row, row],
+                share * abs(value) or file_error * abs(scale) or 0.02 * mass[row, row],
                 suspect.effect.units["value"],
             )
         )

@@ -12,8 +12,6 @@ from ._model import Model, Workbench
 
 # What came before, in octaves of samples.
 PAST = tuple(slice(first, 2 * first) for first in (1, 2, 4, 8, 16))
-# Odds at which an innovation is said to depend on something (Kass and Raftery 1995: strong).
-STRONG = math.log(20.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +46,7 @@ def remembered(bench: Workbench, model: Model) -> Remembered | None:
     ]
     nats, channel, on, ago = max(found, key=lambda one: one[0])
     nats -= math.log(len(found))
-    if nats < STRONG:
+    if nats < bench.criteria.close:
         return None
     dt = float(np.median([log.dt for log in logs]))
     return Remembered(channel, on, (ago.start * dt, (ago.stop - 1) * dt), nats)

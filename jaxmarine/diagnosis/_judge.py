@@ -10,8 +10,8 @@ from ._score import Reduced
 from ._search import dispersion
 
 # What is left is sensor noise alone where its chi-square is at most this many standard deviations, and this
-# share for rounding, above its expectation, and where scores scatter at most this many times as noise does.
-DEVIATIONS, ROUNDING, SCATTER = 5.0, 0.01, 1.6
+# share for rounding, above its expectation (and where scores scatter as noise does).
+DEVIATIONS, ROUNDING = 5.0, 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +41,7 @@ def judged(bench: Workbench, model: Model) -> Judged:
     plain_phi = dispersion(bench, plain, bench.screen(plain))
     missing = knots(bench, plain)
     size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
-    quiet = missing.stats.chi2.sum() / bench.freedom < size and plain_phi < SCATTER and not bench.raised
+    alike = plain_phi < bench.criteria.scatter
+    quiet = missing.stats.chi2.sum() / bench.freedom < size and alike and not bench.raised
     left = missing if plain is model else knots(bench, model)
     return Judged(model, stats, phi, left, plain_phi, missing, bool(quiet))

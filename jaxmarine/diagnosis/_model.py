@@ -2,10 +2,11 @@
 
 import dataclasses
 import functools
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -56,7 +57,8 @@ from ..fitting import (
 )
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
-from ._filed import FILE_ERROR, base_coefficients
+from ._criteria import DEFAULT, Criteria
+from ._filed import base_coefficients
 from ._fine import Fine, parts_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
@@ -92,6 +94,9 @@ RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
+
+# Arguments of a workbench's constructor that another one takes over from it.
+_OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria")
 
 Result = TypeVar("Result")
 
@@ -194,6 +199,7 @@ class Workbench:
     - `filed`: the vehicle as filed, `vehicle` with its columns in the order that the log has them.
     - `noise`: of each channel, NaN where it is not used; `own_noise`: that of its sensor alone.
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
+    - `criteria`: what decides an answer.
     - `room`: that of the programs; one that was given, if the logs fit into it.
     - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
     """
@@ -208,6 +214,7 @@ class Workbench:
         split: int,
         own_noise: Float[np.ndarray, " channels"] | None = None,
         filed: Vehicle | None = None,
+        criteria: Criteria = DEFAULT,
         room: Room | None = None,
     ):
         self.vehicle = vehicle
@@ -218,7 +225,8 @@ class Workbench:
         self.own_noise = noise if own_noise is None else own_noise
         self.split = split
         self.families = families
-        self.base = base_coefficients(vehicle, layout)
+        self.criteria = criteria
+        self.base = base_coefficients(vehicle, layout, criteria.file_error)
         self.count = data.windows.count
         self.samples = int((np.asarray(data.windows.weight) > 0).sum())
         self.freedom = float(max(self.samples - self.count * _starts(data, vehicle), 1))
@@ -261,8 +269,12 @@ class Workbench:
             return self, which
         windows = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[which]), self.data.windows)
         data = dataclasses.replace(self.data, windows=windows, starts=self.data.starts[which])
-        noises = self.noise, self.split, self.own_noise
-        return Workbench(self.vehicle, self.families, self.layout, data, *noises, self.filed), which
+        return self._like(data=data), which
+
+    def _like(self, **other: Any) -> "Workbench":
+        """The same but for some arguments of the constructor."""
+        own = {name: getattr(self, name) for name in _OWN}
+        return Workbench(**(own | other))
 
     @functools.cached_property
     def fine(self) -> Fine:
@@ -504,7 +516,7 @@ class Workbench:
 
         - `times`: that the two are done in turn at most.
         """
-        model = self.refine(model, max_steps, rtol)
+        model = self._climbed(self.refine(model, max_steps, rtol), max_steps, rtol)
         for _ in range(times):
             if model.beside is None or not np.isfinite(model.cost):
                 break
@@ -517,6 +529,28 @@ class Workbench:
             if not before.cost - model.cost > LIKELIER:
                 return model if model.cost < before.cost else before
         return model
+
+    def _climbed(self, model: Model, max_steps: int, rtol: float) -> Model:
+        """The model with what is a staircase on the step that costs least: no slope leads to the next one."""
+        dt = float(np.median([log.dt for log in self.data.logs]))
+        for place, step in itertools.product(self._stairs(model.members), (dt, -dt)):
+            while True:
+                moved = np.where(np.arange(len(model.z)) == place, model.z + step, model.z)
+                other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
+                if not (other.cost < model.cost - LIKELIER and self.sound(other)):
+                    break
+                model = other
+        return model
+
+    def _stairs(self, members: Sequence[Member]) -> list[int]:
+        """Where the members' parameters lie in z with which what is shown at a sample changes by steps."""
+        effects = [self.layout.suspects[member.suspect] for member in members]
+        slices = self.slices(members)
+        return [
+            where.start + list(one.slots).index(name)
+            for one, where in zip(effects, slices, strict=True)
+            for name in one.effect.stairs
+        ]
 
     def undisturbed(self, model: Model) -> Model:
         """The model as it is for white noise alone, with windows that begin as suits it best."""
@@ -650,19 +684,15 @@ class Workbench:
 
     def as_connected(self) -> "Workbench":
         """The same with the columns as the vehicle file has them."""
-        data, split = self.data, self.split
-        return Workbench(self.filed, self.families, self.layout, data, self.noise, split, self.own_noise)
+        return self._like(vehicle=self.filed)
 
     def beside(self, filed: Vehicle) -> "Workbench":
         """The same with another vehicle as filed, whose placed effects its own has first."""
-        noises = self.noise, self.split, self.own_noise
-        return Workbench(self.vehicle, self.families, self.layout, self.data, *noises, filed, self.room)
+        return self._like(filed=filed, room=self.room)
 
     def on(self, logs: Sequence[Log]) -> "Workbench":
         """The same with other logs, whose programs are those of its own where there is room."""
-        data = cut(self.vehicle, logs, self.noise, self.data.length)
-        noises = self.noise, self.split, self.own_noise
-        return Workbench(self.vehicle, self.families, self.layout, data, *noises, self.filed, self.room)
+        return self._like(data=cut(self.vehicle, logs, self.noise, self.data.length), room=self.room)
 
     def log_score(self, model: Model) -> float:
         """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
@@ -700,10 +730,7 @@ class Workbench:
         factor = np.nan_to_num(noise / self.own_noise, nan=1.0)
         weight = scaled(self._own_weight, factor, self.data.logs[0].dt)
         windows = dataclasses.replace(self.data.windows, weight=jnp.asarray(weight))
-        data = dataclasses.replace(self.data, windows=windows)
-        return Workbench(
-            self.vehicle, self.families, self.layout, data, noise, self.split, self.own_noise, self.filed
-        )
+        return self._like(data=dataclasses.replace(self.data, windows=windows), noise=noise)
 
     @property
     def raised(self) -> bool:
@@ -758,7 +785,8 @@ class Workbench:
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
                 axis, by_speed = c.place[0], c.kind == "damping.quadratic"
-                least = c.value + theta[:, c.index] + min(c.prior, FILE_ERROR * abs(c.value) or c.prior)
+                usual = self.criteria.file_error * abs(c.value)
+                least = c.value + theta[:, c.index] + min(c.prior, usual or c.prior)
                 braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
         for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
             if suspect.effect.brakes_by:

@@ -12,12 +12,9 @@ from .._types import DOFS
 from ..logs import Log
 from ..networks import LearnedWrench
 from ..vehicle import Vehicle, reach
+from ._criteria import DEFAULT
 from ._result import Excess, Finding, MissingWrench
 
-# Share of the full thrust that what pushes a craft may take for seconds on end: one that is to be turned and
-# stopped at will needs as much again as it holds against. The peaks of a random force are some three times
-# its root mean square: one of a sixth of the full thrust, which is a rough sea, stays below.
-STEERABLE = 1 / 2
 # What begins or ends within a log is larger over a part of it than over the whole [s]; what is over sooner
 # may be a wave or a collision.
 STRETCH = 3.0
@@ -41,6 +38,7 @@ def excesses(
     phi: float,
     known: Container[str | None] = (),
     quiet: float = 1.0,
+    steerable: float = DEFAULT.steerable,
 ) -> tuple[Finding, ...]:
     """Where more is missing than a disturbance can be: of each axis the time at which it is most.
 
@@ -53,6 +51,8 @@ def excesses(
     - `known`: axes of which it is told already that something unknown acts there.
     - `quiet`: noise of the sensors alone over that by which `missing` has its standard errors: where the
       latter was raised to what the model misses, it is the question.
+    - `steerable`: as of `Criteria`. Peaks of a random force are some three times its root mean square: one of
+      a sixth of the full thrust, which is a rough sea, stays below the default.
     """
     given = [np.abs(log.wrench).max(axis=0) for log in logs if log.wrench is not None]
     most = np.max([*map(full_thrust, vehicles), *given], axis=0)
@@ -63,15 +63,22 @@ def excesses(
         strongest = kind.start + int(np.argmax(most[kind]))
         # A towed body has no thrust to compare with.
         if DOFS[axis] not in known and most[strongest] > 0:
-            found.append(_largest(missing, axis, strongest, float(most[strongest]), logs, phi))
+            strength = float(most[strongest])
+            found.append(_largest(missing, axis, strongest, strength, steerable * strength, logs, phi))
     return tuple(one for one in found if one is not None)
 
 
 def _largest(
-    missing: MissingWrench, axis: int, strongest: int, strength: float, logs: Sequence[Log], phi: float
+    missing: MissingWrench,
+    axis: int,
+    strongest: int,
+    strength: float,
+    bound: float,
+    logs: Sequence[Log],
+    phi: float,
 ) -> Finding | None:
     """The worst stretch on an axis with those that adjoin it, as far as they are beyond the bound."""
-    bound, worst, out = STEERABLE * strength, 1.0, None
+    worst, out = 1.0, None
     for i, log in enumerate(logs):
         t, wrench, std = (a[missing.log == i] for a in (missing.t, missing.wrench, missing.std))
         if len(t) < 2:  # a log that gave no window, or none to speak of

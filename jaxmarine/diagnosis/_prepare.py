@@ -14,6 +14,7 @@ from ..fitting import GrossError, answers, contradiction, cut, misconnected, noi
 from ..logs import Log, Note, alike
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
+from ._criteria import DEFAULT, Criteria
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
@@ -80,6 +81,7 @@ def opened_with(
     catalogue: Sequence[type[AbstractEffect]],
     window: float | None,
     progress: Progress = silent,
+    criteria: Criteria = DEFAULT,
 ) -> Opened:
     """Logs that were checked and reviewed, on a workbench with noises as large as what the file misses.
 
@@ -103,7 +105,7 @@ def opened_with(
     every, reviews = reviewed(vehicle.place(*causes), (*logs, *tests))
     logs, tests = every[: len(logs)], every[len(logs) :]
     exchanged = tuple(cause for cause in causes if isinstance(cause.effect, ExchangedThrusters))
-    bench = workbench(vehicle.place(*exchanged), logs, catalogue, window, vehicle)
+    bench = workbench(vehicle.place(*exchanged), logs, catalogue, window, vehicle, criteria)
     tests, left_out = _predictable(bench, tests)
     progress(FITTING)
     begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
@@ -157,12 +159,17 @@ def _suspected(wrong: GrossError, catalogue: Sequence[type[AbstractEffect]]) -> 
 
 
 def workbench(
-    vehicle: Vehicle, logs: Sequence[Log], catalogue, window: float | None, filed: Vehicle | None = None
+    vehicle: Vehicle,
+    logs: Sequence[Log],
+    catalogue,
+    window: float | None,
+    filed: Vehicle | None = None,
+    criteria: Criteria = DEFAULT,
 ) -> Workbench:
     """The workbench of a vehicle and its training logs; raises `InputError` where they are too short.
 
-    - `catalogue`, `window`: as `diagnose` takes them; `filed`: the vehicle that a gain is measured
-      against, if it is another one.
+    - `catalogue`, `window`, `criteria`: as `diagnose` takes them; `filed`: the vehicle that a gain is
+      measured against, if it is another one.
     """
     noise = noise_of(vehicle, logs)
     data = cut(vehicle, logs, noise, _window(logs, window))
@@ -174,7 +181,7 @@ def workbench(
         )
     families, layout = saturate(vehicle, catalogue)
     split = substeps(vehicle, data.hold, _speeds(logs))
-    bench = Workbench(vehicle, families, layout, data, noise, split, filed=filed)
+    bench = Workbench(vehicle, families, layout, data, noise, split, filed=filed, criteria=criteria)
     room = SLOTS - len(bench.base)
     for suspect in layout.suspects:
         if len(suspect.slots) > room:

@@ -8,13 +8,13 @@ import numpy as np
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
-from ._score import Reduced, savings, scatter, step_with, t_value
+from ._score import Reduced, savings, scatter, step_with
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
 # beginning on, of which there are so many to choose from that they would crowd the others out.
 SHORTLIST, SHORTLIST_BEGUN = 8, 4
 # Leading suspects that are refitted with a beginning too, and suspects that may win a round where the best
-# rests on few windows.
+# does not.
 WITH_BEGINNING = 3
 CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
@@ -24,24 +24,12 @@ FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 MORE, AFRESH = 5, 2
 # Suspects refitted for what they would save beside a disturbance that is no slower than usual.
 HIDDEN = 3
-# Share of the best saving that makes a suspect a candidate where the best fails.
-NEARLY = 0.7
 # Windows that must lie on either side of a beginning.
 EARLIEST = 3
 # Findings in one diagnosis at most; a model that needs more is wrong in another way.
 MOST = MOST_ROUNDS
-# Nats of evidence beyond the look-elsewhere correction that a finding needs.
-MARGIN = 12.0
-# A finding must save this many standard errors (over windows) of chi-square.
-SIGMAS = 2.0
-# Chi-square per dispersion within which two causes are not told apart (odds of 1 to 20).
-CLOSE = 6.0
 # A prior's weight is left as it is where it should be up to this many times as much, or as little.
 SAME = 1.25
-# Chi-square that some suspect must save before the costly starts are tried.
-PROBED = 20.0
-# Chi-square per dispersion by which the bent file must do better than the one as filed to have bent far.
-BENT = 20.0
 # Share of the best saving that a costly start must promise, and by which a beginning must beat acting always;
 # and the chi-square that it must beat it by at least.
 WORTHWHILE, BEGINS = 0.2, 40.0
@@ -90,7 +78,7 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     """
     known, precision, _ = bench.known(model)
     owns = np.concatenate([bench.own(i) for i in range(len(bench.layout.suspects))], axis=1)
-    return max(1.0, float(np.median(_dispersions(stats, owns, known, precision))))
+    return max(1.0, float(np.median(dispersions(stats, owns, known, precision))))
 
 
 def _projected(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
@@ -106,7 +94,7 @@ def _information(h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return ((h @ columns) * columns).sum(-2)
 
 
-def _dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
+def dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Variance of summed scores over information, of each own column that says more than the known ones."""
     combined = _projected(stats, own, known, precision)
     scores = stats.g @ combined
@@ -124,17 +112,11 @@ def _split(bench: Workbench, model: Model, where: slice) -> tuple[np.ndarray, np
 def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice, phi: float) -> float:
     """Dispersion of the scores of one member, `where` its parameters lie in z; at least that of all, `phi`.
 
-    A disturbance that pushes one axis more than the others scatters the scores of what acts there.
+    A disturbance that pushes one axis more than the others scatters the scores of what acts there, and so
+    does what a few windows pull one way and the rest another.
     """
-    ratios = _dispersions(stats, *_split(bench, model, where))
+    ratios = dispersions(stats, *_split(bench, model, where))
     return max(phi, float(ratios.mean())) if len(ratios) else phi
-
-
-def _windows_that_tell(bench: Workbench, model: Model, stats: Reduced, where: slice) -> float:
-    """In how many windows a member shows: all, if it shows in all alike."""
-    information = _information(stats.h, _projected(stats, *_split(bench, model, where)))
-    share = (information / np.maximum(information.sum(0), 1e-300)).mean(axis=1) if information.size else [1.0]
-    return 1.0 / float(np.square(share).sum())
 
 
 def shortlist(
@@ -288,40 +270,26 @@ def putting_back(bench: Workbench, model: Model, stats: Reduced, where: slice) -
 
 
 def needed(bench: Workbench, member: Member, phi: float) -> float:
-    """Chi-square that a finding must save: its parameters, how many were tried, and a margin.
+    """Chi-square that a member must save to have the odds that a finding needs.
 
-    And at least what makes its evidence worth mentioning (odds of 20 to 1).
+    - `phi`: dispersion of its scores.
     """
-    own = bench.layout.columns[member.suspect].shape[1]
-    least = 2 * own + 2 * np.log(tried(bench, member)) + 2 * MARGIN
-    return phi * max(least, penalty(bench, member) + CLOSE)
+    return 2 * phi * (prior_nats(bench, member) + bench.criteria.nats)
 
 
-def significant(bench: Workbench, trial: Trial, before: Reduced, after: Reduced, phi: float) -> bool:
-    """Whether a trial saves enough, on windows in general and not by chance on a few."""
-    if bench.coefficient_of(trial.member.suspect) is not None:
-        # A coefficient of the file was free already: what counts is what putting it back would cost.
-        lost = putting_back(bench, trial.model, after, bench.slices(trial.model.members)[-1])
-    else:
-        lost = before.chi2 - after.chi2
-    since = trial.member.since
-    if since is not None:
-        # Windows in which it does not act say nothing of it.
-        acts = (bench.group_log > since.log) | (
-            (bench.group_log == since.log) & (bench.group_starts >= since.time - 1e-9)
-        )
-        lost = lost[acts]
-    least = needed(bench, trial.member, phi)
-    if trial.saved <= least:
-        return False
-    if t_value(lost) > SIGMAS:
-        return True
-    # What acts in few windows, as a saturation does, scatters by nature; then the same number of windows
-    # with a scale of their own must not make it likely.
+def least_needed(bench: Workbench) -> float:
+    """Chi-square per dispersion that a member must save at least: what saves less hides no finding."""
+    return min(needed(bench, Member(i), 1.0) for i in range(len(bench.layout.suspects)))
+
+
+def significant(bench: Workbench, trial: Trial, after: Reduced, phi: float) -> bool:
+    """Whether a trial has the odds that a finding needs, at the dispersion of its own scores.
+
+    - `after`: statistics of its model, of dispersion `phi`.
+    """
     where = bench.slices(trial.model.members)[-1]
-    own = own_dispersion(bench, trial.model, after, where, 1.0)
-    few = _windows_that_tell(bench, trial.model, after, where)
-    return bool(few * np.log1p(trial.saved / (own * few)) > least / phi)
+    own = own_dispersion(bench, trial.model, after, where, phi)
+    return trial.saved > needed(bench, trial.member, own)
 
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
@@ -375,7 +343,7 @@ def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress)
     trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
     best = max([t.saved for t in trials], default=0.0)
     # Where there is none, the file's coefficients bent until they mean nothing, perhaps to what has no slope.
-    if best > PROBED or not trials:
+    if best > least_needed(bench) or not trials:
         progress("refitting the best suspects")
         trials += _trials(bench, model, probes(bench, model, best))
     return trials
@@ -393,7 +361,7 @@ def beside_file(bench: Workbench, model: Model, phi: float, progress: Progress =
     if model.beside is not None and not _bent(bench, model):
         return []
     held = bench.likeliest(bench.frozen(bench.as_filed(model)))
-    bent = 2 * (held.cost - model.cost) > BENT * phi
+    bent = 2 * (held.cost - model.cost) > phi * least_needed(bench)
     return weigh(bench, held, bench.screen(held), progress) if bent and np.isfinite(held.cost) else []
 
 
@@ -457,13 +425,13 @@ def search(
             progress(in_round(which, MOST, words))
 
         trials = weigh(bench, model, stats, tell) if bench.sound(model) else []
-        decided = _decided(bench, model, stats, trials)
+        decided = _decided(bench, model, trials)
         if decided is None:
             phi = dispersion(bench, model, stats)
             if trials:
                 rounds.append(Round(_once(trials), False, phi))
             held = beside_file(bench, model, phi, tell)
-            decided = _decided(bench, model, stats, _by_penalty(bench, _freed(bench, model, held[:MORE])))
+            decided = _decided(bench, model, _by_penalty(bench, _freed(bench, model, held[:MORE])))
         if decided is None:
             break
         one, stats = decided
@@ -490,40 +458,39 @@ def _weighted(bench: Workbench, model: Model, stats: Reduced) -> tuple[Model, Re
     return bent, bench.screen(bent)
 
 
-def _decided(
-    bench: Workbench, model: Model, stats: Reduced, trials: Sequence[Trial]
-) -> tuple[Round, Reduced] | None:
+def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[Round, Reduced] | None:
     """The round that a significant one of the best trials wins, and the statistics of its model."""
     # The best may rest on a few windows, as one does that acts throughout in the place of one that begins:
-    # then those that save nearly as much are looked at too.
-    rivals = [t for t in trials[1:] if t.saved > NEARLY * trials[0].saved]
-    for trial in [*trials[:1], *rivals[: CHANCES - 1]]:
+    # then the next ones are looked at too.
+    hopeful = [t for t in trials if t.saved > needed(bench, t.member, 1.0)]
+    for trial in hopeful[:CHANCES]:
         exact = bench.likeliest(trial.model)
         if not bench.stands(exact, model):
             continue
         winner = trial_of(model, trial.member, exact)
         after = bench.screen(exact)
         phi = dispersion(bench, exact, after)
-        if not significant(bench, winner, stats, after, phi):
+        if not significant(bench, winner, after, phi):
             continue
         others = [t for t in trials if t is not trial]
-        ranked = _by_evidence(bench, model, winner, others, phi)
+        ranked = by_evidence(bench, model, winner, others, phi)
         if ranked[0] is not winner:
             # By the evidence, which knows how far the scores scatter, another one was better.
             stats_of = bench.screen(ranked[0].model)
             phi_of = dispersion(bench, ranked[0].model, stats_of)
-            if significant(bench, ranked[0], stats, stats_of, phi_of):
+            if significant(bench, ranked[0], stats_of, phi_of):
                 return Round(_once(ranked), True, phi_of), stats_of
             ranked = [winner, *(t for t in ranked if t is not winner)]
         return Round(_once(ranked), True, phi), after
     return None
 
 
-def _by_evidence(
+def by_evidence(
     bench: Workbench, model: Model, winner: Trial, others: Sequence[Trial], phi: float
 ) -> list[Trial]:
     """All trials, the best by evidence first; those that may be as good as the winner refitted to the end."""
-    out, least = [winner], evidence(bench, winner.member, winner.saved, phi) - CLOSE / 2
+    least = evidence(bench, winner.member, winner.saved, phi) - bench.criteria.close
+    out = [winner]
     for trial in others:
         hoped = trial.saved + 2 * max(trial.model.cost - trial.model.promised, 0.0)
         if evidence(bench, trial.member, hoped, phi) > least:

@@ -23,7 +23,6 @@ from ._search import (
 )
 from ._worth import gain_at_home
 
-HARMS = 0.95  # a member goes where predictions without it have less than this share of the error
 # A member is kept without more than a few steps of a refit where those promise that its removal costs this
 # many times what it must save.
 OBVIOUS = 10.0
@@ -129,6 +128,6 @@ def _without_harm(bench: Workbench, model: Model, dense: bool) -> Model:
     own = gain_at_home(bench, model, dense)
     for i in reversed(range(len(model.members))):
         less = bench.refine(bench.without_member(model, i))
-        if gain_at_home(bench, less, dense) < HARMS * own:
+        if gain_at_home(bench, less, dense) < bench.criteria.gain * own:
             return _without_harm(bench, pruned(bench, less), dense)
     return model

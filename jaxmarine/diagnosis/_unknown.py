@@ -15,21 +15,13 @@ from jaxtyping import Float
 from scipy import stats
 
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
+from ._criteria import DEFAULT, Criteria
 from ._knots import Knots, missing_wrench, on_axis
 from ._score import blocks, solve, step_with, t_value
 from ._signals import Places, Signals
 
-# Standard errors (over windows) by which a dependence must help on left-out windows: some two thousand sets
-# of signals are tried, of which chance alone would give three to a few. The first number is for what explains
-# most of what is left, which chance does not.
-SIGMAS_OF_MOST, SIGMAS = 3.0, 4.0
-# Chi-square that a dependence must save beyond what the number of trials asks for (odds of 1 to 150).
-LEAST = 10.0
-# Share of the saving by which one more signal must help.
-SHARE = 0.05
-# Share of what is left beyond the noise that is most of it: of all axes, then a dependence on measured
-# velocities speaks for itself; of what a free force on its axis saves, then windows need not be alike.
-MOST_OF = 0.7
+# Standard errors over windows within which two sets of signals are not told apart.
+TOLD_APART = 2.0
 # Harmonics of a heading (or of another angle that turns through more than 2 rad), and bumps over a range:
 # of a place as many as it resolves, two knots to a bump.
 HARMONICS = 6
@@ -46,9 +38,8 @@ AMID_MOTION = 10.0
 # By how much rank correlations of two signals with what is missing may differ if they are not to be told
 # apart, and the probability that chance alone is taken for such a correlation.
 ALIKE, CHANCE = 0.1, 1e-3
-# Share of the strongest saving that another axis must have: a strong missing force reaches others through
-# the coupled mass.
-SMALLEST = 0.02
+# Width of a prior on a force [N, N m] that does not hold it.
+UNPULLED = 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,8 +170,8 @@ def _left_out(
 class _Ledger:
     """What dependences save on left-out windows beside those found already and a constant."""
 
-    def __init__(self, k: Knots):
-        self.k = k
+    def __init__(self, k: Knots, criteria: Criteria = DEFAULT):
+        self.k, self.criteria = k, criteria
         self.shapes = _Shapes(k.places)
         shape = (*k.places.t.shape, 6)
         missing = missing_wrench(k)
@@ -234,6 +225,11 @@ class _Ledger:
         without = self.chi2(axis, np.zeros((1, *self.y.shape[:2])))
         return float(without.sum() - self._constant(axis).sum())
 
+    def better(self, new: np.ndarray, old: np.ndarray) -> bool:
+        """Whether one more signal helps, by what is saved with it and without it."""
+        enough = (1 + self.criteria.more) * max(old.sum(), 0.0)
+        return bool(new.sum() > enough and t_value(new - old) > TOLD_APART)
+
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
         self._constants.clear()
@@ -254,15 +250,15 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         now = saved(pair)
         if now.sum() > best.sum():
             best_pair, best = pair, now
-    if _better(best, gain):
+    if ledger.better(best, gain):
         chosen, gain = best_pair, best
         results = {(*chosen, name): saved((*chosen, name)) for name in order if name not in chosen}
         names = max(results, key=lambda n: results[n].sum(), default=chosen)
-        if names != chosen and _better(results[names], gain):
+        if names != chosen and ledger.better(results[names], gain):
             chosen, gain = names, results[names]
     if len(places.commanded) > 1:
-        drift, now = _drift(places.commanded, saved)
-        if _better(now, gain):
+        drift, now = _drift(places.commanded, saved, ledger.better)
+        if ledger.better(now, gain):
             chosen, gain = drift, now
     tied = []
     for name in order:
@@ -271,14 +267,16 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         for i in range(len(chosen)):
             other = tuple(name if j == i else kept for j, kept in enumerate(chosen))
             now = singles[name] if len(chosen) == 1 else saved(other)
-            if t_value(gain - now) < 2.0 and now.sum() > 0.8 * gain.sum():
+            if t_value(gain - now) < TOLD_APART and now.sum() > 0.8 * gain.sum():
                 tied.append(name)
                 break
     return chosen, gain, tuple(tied)
 
 
 def _drift(
-    commands: tuple[str, ...], saved: Callable[[tuple[str, ...]], np.ndarray]
+    commands: tuple[str, ...],
+    saved: Callable[[tuple[str, ...]], np.ndarray],
+    better: Callable[[np.ndarray, np.ndarray], bool],
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """The time with the commands whose thrust drifts, without those that need not, and what it saves.
 
@@ -290,14 +288,10 @@ def _drift(
         fewer = [tuple(other for other in names if other != name) for name in names[1:]]
         results = {less: saved(less) for less in fewer}
         best = max(fewer, key=lambda less: results[less].sum())
-        if _better(gain, results[best]):
+        if better(gain, results[best]):
             break
         names, gain = best, results[best]
     return names, gain
-
-
-def _better(new: np.ndarray, old: np.ndarray) -> bool:
-    return bool(new.sum() > (1 + SHARE) * max(old.sum(), 0.0) and t_value(new - old) > 2.0)
 
 
 def tried_nats(k: Knots) -> float:
@@ -310,6 +304,7 @@ def dependences(
     phi: float,
     undisturbed: Signals | None = None,
     freedom: float = np.inf,
+    criteria: Criteria = DEFAULT,
 ) -> tuple[Dependence, ...]:
     """Axes with a missing wrench that depends on signals, the strongest first.
 
@@ -320,24 +315,24 @@ def dependences(
       the measured ones save most of what noise with so much `freedom` does not account for: no disturbance
       is a function of the motion.
     """
-    ledger = _Ledger(k)
+    ledger = _Ledger(k, criteria)
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
-    enough = 2 * phi * tried_nats(k) + LEAST
+    enough = 2 * phi * tried_nats(k) + 2 * criteria.nats
     while left:
         trials = {axis: _best_signals(ledger, axis) for axis in left}
         axis = max(trials, key=lambda a: trials[a][1].sum())
         names, gain, tied = trials[axis]
         if gain.sum() < enough:
             break
-        if found and gain.sum() < SMALLEST * found[0].saved:
+        if found and gain.sum() < criteria.smallest * found[0].saved:
             break
         left.remove(axis)
         others = sum(one.saved for one in found) + ledger.constant(axis)
         excess = k.stats.chi2.sum() - freedom - others
-        plain = 0.0 < MOST_OF * excess < gain.sum()
-        most = bool(gain.sum() > MOST_OF * ledger.left(axis))
-        if _sigmas(gain, most) < (SIGMAS_OF_MOST if plain else SIGMAS):
+        plain = 0.0 < criteria.most * excess < gain.sum()
+        most = bool(gain.sum() > criteria.most * ledger.left(axis))
+        if _sigmas(gain, most) < (criteria.sigmas_of_most if plain else criteria.sigmas):
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
@@ -352,7 +347,9 @@ def dependences(
     return tuple(found)
 
 
-def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float) -> tuple[Dependence, ...]:
+def size_only(
+    k: Knots, phi: float, undisturbed: Signals | None, freedom: float, criteria: Criteria = DEFAULT
+) -> tuple[Dependence, ...]:
     """The command or velocity with which the size of what is missing goes, where its value goes with nothing.
 
     No disturbance asks whether the craft is driven: what is `AMID_MOTION` times as large in the third of the
@@ -378,7 +375,7 @@ def size_only(k: Knots, phi: float, undisturbed: Signals | None, freedom: float)
     tied = tuple(n for n in order[1:] if alike[n] > alike[best] - ALIKE)
     saved = float(chi2.sum() - freedom)
     empty = np.zeros((*k.places.t.shape, 0))
-    enough = saved > 2 * phi * np.log(len(alike)) + LEAST
+    enough = saved > 2 * phi * np.log(len(alike)) + 2 * criteria.nats
     return (Dependence(axis, (best,), tied, saved, empty, remembers=False),) if enough else ()
 
 
@@ -406,7 +403,7 @@ def _causal(
     places = ledger.k.places
     moved = dataclasses.replace(places, signals=places.signals | undisturbed)
     saved = ledger.saved(axis, _Shapes(moved).of(names))
-    return bool(_sigmas(saved, most) > 2.0 and saved.sum() > 0.1 * gain.sum())
+    return bool(_sigmas(saved, most) > TOLD_APART and saved.sum() > 0.1 * gain.sum())
 
 
 def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -425,27 +422,28 @@ def _wrenches(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
     return np.concatenate([empty, *(on_axis(one.axis, one.features) for one in found)], axis=-1)
 
 
-def cost_of_removal(
-    k: Knots, members: list[slice], found: tuple[Dependence, ...]
-) -> list[tuple[float, float]]:
-    """Chi-square lost by putting each member back to neutral: as things are, and beside the dependences.
+def cost_of_removal(k: Knots, members: list[slice], found: tuple[Dependence, ...]) -> list[float]:
+    """Chi-square lost by putting each member back to neutral beside the dependences.
 
-    A true cause costs the same in both; one that only stood in for an unknown dependence costs little
-    once that dependence may act for itself.
+    One that only stood in for an unknown dependence costs little once that may act for itself.
     """
-    systems = _beside(k, _wrenches(k, ())), _beside(k, _wrenches(k, found))
+    g, h = _beside(k, _wrenches(k, found))
     out = []
     for where in members:
-        pair = []
-        for g, h in systems:
-            held = np.arange(where.start, where.stop)
-            least, without = (step_with(g, h, fixed, -k.offset[fixed]) for fixed in (held[:0], held))
-            pair.append(float(2 * g @ (without - least) + without @ h @ without - least @ h @ least))
-        out.append((pair[0], pair[1]))
+        held = np.arange(where.start, where.stop)
+        least, without = (step_with(g, h, fixed, -k.offset[fixed]) for fixed in (held[:0], held))
+        out.append(float(2 * g @ (without - least) + without @ h @ without - least @ h @ least))
     return out
 
 
-def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
+def acting(k: Knots, found: tuple[Dependence, ...]) -> Knots:
+    """The statistics once dependences act as the logs say, known numbers refitted with them."""
+    wrenches = _wrenches(k, found)
+    size = np.sqrt((wrenches**2).mean(axis=(0, 1, 2)))
+    return k.beside(wrenches / np.maximum(size, 1e-300), UNPULLED)
+
+
+def likely(k: Knots, found: tuple[Dependence, ...], criteria: Criteria = DEFAULT) -> tuple[Dependence, ...]:
     """Those of some dependences without which the logs are clearly less likely, each beside the ones before.
 
     The evidence of a dependence whose shapes have coefficients of one unknown size, z integrated out, against
@@ -456,7 +454,7 @@ def likely(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
 
     - `k`: beside the disturbance.
     """
-    enough = tried_nats(k) + 0.5 * LEAST
+    enough = tried_nats(k) + criteria.nats
     accepted: tuple[Dependence, ...] = ()
     pulls = np.zeros(0)
     for one in found:

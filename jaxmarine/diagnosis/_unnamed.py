@@ -15,14 +15,16 @@ from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._dropped import STOOD_IN, gone, needless
 from ._judge import Judged, judged
+from ._knots import Knots
 from ._model import Beside, Model, Workbench
 from ._result import Dropped
 from ._score import Reduced
-from ._search import dispersion, nats
+from ._search import dispersion, dispersions, nats, needed
 from ._settle import pruned
 from ._signals import Signals
 from ._unknown import (
     Dependence,
+    acting,
     cost_of_removal,
     dependences,
     lagged,
@@ -30,9 +32,6 @@ from ._unknown import (
     nats_beside,
     size_only,
 )
-
-# A member whose removal costs less than this share beside the unknown dependences only stood in for them.
-STAND_IN = 0.35
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +65,9 @@ def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress)
         vehicle = extended_by(bench, now.model, dense)
         unknown = _dependences(bench, now, vehicle)
         if not (unknown or now.model.members or dense):
-            unknown = size_only(now.left, now.phi, _undisturbed(bench, vehicle), bench.freedom)
+            unknown = size_only(
+                now.left, now.phi, _undisturbed(bench, vehicle), bench.freedom, bench.criteria
+            )
         spurious = _stand_in(bench, now, unknown)
         if spurious is None:
             return Answer(now, unknown, dense, dropped)
@@ -86,10 +87,11 @@ def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Depen
     _, precision, _ = bench.known(dataclasses.replace(now.model, frozen=held))
     missing = dataclasses.replace(now.knots, precision=precision)
     bent = missing.beside(couplings(bench.vehicle, now.knots.places), wrong_by(bench, now.model))
-    found = dependences(bent, now.plain_phi, _undisturbed(bench, vehicle), bench.freedom)
+    undisturbed, criteria = _undisturbed(bench, vehicle), bench.criteria
+    found = dependences(bent, now.plain_phi, undisturbed, bench.freedom, criteria)
     if now.model.beside is None:
         return found
-    return likely(dataclasses.replace(now.left, precision=precision), found)
+    return likely(dataclasses.replace(now.left, precision=precision), found, criteria)
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
@@ -211,10 +213,24 @@ def _nats_with(
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
-    """The member that an unknown dependence replaces best, if one does."""
+    """The member that unknown dependences leave least to, if that is less than a finding must save."""
     if not unknown or not now.model.members:
         return None
     costs = cost_of_removal(now.knots, bench.slices(now.model.members), unknown)
-    shares = [beside / max(alone, 1e-9) for alone, beside in costs]
-    worst = int(np.argmin(shares))
-    return worst if shares[worst] < STAND_IN else None
+    least = [
+        needed(bench, member, _scatter_beside(now.knots, where, unknown))
+        for member, where in zip(now.model.members, bench.slices(now.model.members), strict=True)
+    ]
+    more = np.array(costs) - least
+    worst = int(np.argmin(more))
+    return worst if more[worst] < 0 else None
+
+
+def _scatter_beside(k: Knots, where: slice, unknown: tuple[Dependence, ...]) -> float:
+    """Dispersion of the scores of a member, `where` its parameters lie in z, once dependences have acted."""
+    after, z = acting(k, unknown).stats, np.arange(k.width)
+    mine = (z >= where.start) & (z < where.stop)
+    known = np.eye(k.width)
+    stats = Reduced(after.chi2, after.g[:, : k.width], after.h[:, : k.width, : k.width])
+    ratios = dispersions(stats, known[:, mine], known[:, ~mine], k.precision[~mine])
+    return max(1.0, float(ratios.mean())) if len(ratios) else 1.0

@@ -17,9 +17,6 @@ from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
 from ._prepare import opened_with
 from ._result import Gain, Predictions
 
-# Share of the error that names must not leave: those that do bought nothing.
-NOTHING = 0.95
-
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def gain_of(
@@ -71,13 +68,13 @@ def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Pl
     return measured_gain(bench, model, changed, terms, log)[0].ratio
 
 
-def buys_nothing(gain: Gain) -> bool:
-    """Whether what was named leaves the error on a log that was not fitted as it is.
+def buys_nothing(gain: Gain, most: float) -> bool:
+    """Whether what was named leaves more than a share of the error, `most`, on a log that was not fitted.
 
     What makes it larger for sure is another matter: the cause may be absent there.
     """
     low, high = gain.ratio_ci95 or (0.0, np.inf)
-    return gain.held_out and gain.ratio > NOTHING and low <= 1.0 <= high
+    return gain.held_out and gain.ratio > most and low <= 1.0 <= high
 
 
 def measured_gain(

@@ -88,6 +88,7 @@ class AbstractEffect(eqx.Module):
     advice: ClassVar[str] = ""  # what to look at on the boat
     plausible: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # range of a parameter
     phases: ClassVar[tuple[str, ...]] = ()  # angles [rad] of the log's own clock, others in another log
+    stairs: ClassVar[tuple[str, ...]] = ()  # times [s] after which it acts: samples show it by whole steps
     swings: ClassVar[bool] = False  # a sine of time, whose start a spectrum of the missing force gives
     amplitudes: ClassVar[tuple[str, ...]] = ()  # change sign where a phase goes on by half a turn
 

@@ -110,6 +110,7 @@ class InputDelay(DriveEffect, ActuatorEffect):
     confused_with = ("thruster_lag",)
     shown_by = "abrupt changes of command, logged at 10 Hz or faster"
     advice = "look at the transport and scheduling of commands, and at the log's clocks"
+    stairs = ("delay",)
 
     delay: Scalar
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..diagnosis import CLOSE
+from ..diagnosis import Criteria
 from ._evidence import Member, Sum
 from ._ledger import CHUNK, Account, Ledger
 from ._status import Name, moment_of
@@ -149,7 +149,7 @@ class Judge:
             self.undecided = ()
             return []
         nats, member, own = weighed[0]
-        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > nats - CLOSE / 2]
+        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > nats - Criteria().close]
         if close:
             both = (self.label(member.suspect), *close)
             if {*both} == {*self.undecided}:
