@@ -598,9 +598,11 @@ def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unkn
         assert len(notes) == 1 and notes[0].startswith(note)
 
 
-@pytest.mark.parametrize(("home", "kept"), [(0.89, 1), (0.91, 0)])
-def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(monkeypatch, home, kept):
-    """Without it 0.9 of the file's error is left; of what has no value of its own a note tells."""
+@pytest.mark.parametrize(("home", "away", "kept"), [(0.89, 0.79, 1), (0.91, 0.79, 0), (0.89, 0.81, 0)])
+def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(
+    monkeypatch, home, away, kept
+):
+    """Without it 0.9 of the file's error is left at home, 0.8 on the test log; a note tells of no value."""
     term = learned_wrench("surge", ("u",), (), np.zeros(1), np.ones(1), 1.0, jax.random.key(0), 2)
     bench = Bench({})
     bench.vehicle = boat()
@@ -608,12 +610,19 @@ def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(
     monkeypatch.setattr(
         _diagnose, "gain_at_home", lambda bench, model, dense, terms=(): home if terms else 0.9
     )
+    monkeypatch.setattr(
+        _diagnose,
+        "measured_gain",
+        lambda bench, model, changed, terms, tests: (gain(away if terms else 0.8, (0.5, 1.5)), None),
+    )
     answer = Answer(judged_as(bench.fit(4)), (dependence(0), dependence(1, shapes=0)), False)
-    terms, notes = _diagnose._learned(bench, answer, lambda words: None)
+    test = (a_log(100),)
+    terms, notes = _diagnose._learned(bench, answer, test, lambda words: None)
     assert len(terms) == kept and all(one.target == "surge" for one in terms)
     assert notes[0].startswith("sway: much more is missing where u, psi is large")
     assert [note.startswith("What was learned of it predicts") for note in notes[1:]] == [True] * (1 - kept)
-    assert _diagnose._learned(bench, dataclasses.replace(answer, unknown=()), lambda words: None) == ((), [])
+    known = dataclasses.replace(answer, unknown=())
+    assert _diagnose._learned(bench, known, test, lambda words: None) == ((), [])
 
 
 WORSE, UNSURE = "predicts test.csv worse than the file does", "does not confirm this"

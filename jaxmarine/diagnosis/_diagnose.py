@@ -74,7 +74,7 @@ def diagnose(
         answer, rounds = _chosen(bench, rival, found, progress)
         answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
-    terms, unlearned = _learned(bench, answer, progress)
+    terms, unlearned = _learned(bench, answer, opened.tests, progress)
     extended = unsupplied(extended_by(bench, model, answer.dense).place(*terms), vehicle)
     progress(PREDICTING)
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
@@ -228,7 +228,9 @@ def _worthwhile(
     return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
 
 
-def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tuple[Placed, ...], list[str]]:
+def _learned(
+    bench: Workbench, answer: Answer, tests: Sequence[Log], progress: Progress
+) -> tuple[tuple[Placed, ...], list[str]]:
     """Networks for what is unknown, where they are of use, and notes where there are none."""
     if not answer.unknown:
         return (), []
@@ -248,6 +250,11 @@ def _learned(bench: Workbench, answer: Answer, progress: Progress) -> tuple[tupl
     if terms and gain_at_home(*home, terms) > gain_at_home(*home):
         terms = ()
         notes.append("What was learned of it predicts the training log worse than nothing; it was left out.")
+    if terms:
+        ratio = measured_gain(bench, answer.model, True, terms, tests)[0].ratio
+        if ratio > measured_gain(bench, answer.model, answer.changed, (), tests)[0].ratio:
+            terms, names = (), together([test.name for test in tests])
+            notes.append(f"What was learned of it predicts {names} worse than nothing; it was left out.")
     return terms, notes
 
 

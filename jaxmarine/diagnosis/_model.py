@@ -516,7 +516,7 @@ class Workbench:
 
         - `times`: that the two are done in turn at most.
         """
-        model = self._climbed(self.refine(model, max_steps, rtol), max_steps, rtol)
+        model = self.refine(model, max_steps, rtol)
         for _ in range(times):
             if model.beside is None or not np.isfinite(model.cost):
                 break
@@ -530,10 +530,22 @@ class Workbench:
                 return model if model.cost < before.cost else before
         return model
 
-    def _climbed(self, model: Model, max_steps: int, rtol: float) -> Model:
-        """The model with what is a staircase on the step that costs least: no slope leads to the next one."""
+    def climbed(self, model: Model, max_steps: int = 25, rtol: float = EXACT, last: bool = False) -> Model:
+        """A refined model with what is a staircase on the step that costs least.
+
+        What is shown at a sample changes by steps with some parameters; no slope leads from one to the next.
+
+        - `last`: of the last member alone.
+        """
         dt = float(np.median([log.dt for log in self.data.logs]))
-        for place, step in itertools.product(self._stairs(model.members), (dt, -dt)):
+        stairs = [
+            where.start + list(suspect.slots).index(name)
+            for member, where in zip(model.members, self.slices(model.members), strict=True)
+            for suspect in [self.layout.suspects[member.suspect]]
+            for name in suspect.effect.stairs
+            if not last or member is model.members[-1]
+        ]
+        for place, step in itertools.product(stairs, (dt, -dt)):
             while True:
                 moved = np.where(np.arange(len(model.z)) == place, model.z + step, model.z)
                 other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
@@ -541,16 +553,6 @@ class Workbench:
                     break
                 model = other
         return model
-
-    def _stairs(self, members: Sequence[Member]) -> list[int]:
-        """Where the members' parameters lie in z with which what is shown at a sample changes by steps."""
-        effects = [self.layout.suspects[member.suspect] for member in members]
-        slices = self.slices(members)
-        return [
-            where.start + list(one.slots).index(name)
-            for one, where in zip(effects, slices, strict=True)
-            for name in one.effect.stairs
-        ]
 
     def undisturbed(self, model: Model) -> Model:
         """The model as it is for white noise alone, with windows that begin as suits it best."""

@@ -191,7 +191,8 @@ def _trials(
     Where there are many windows, on some of them: all of them judge the best, before it is taken.
     """
     sample = bench.sampled(model)
-    fitted = [sample.whole(model, t.model) for t in _refitted(sample.bench, sample.model, starts)]
+    found = _refitted(sample.bench, sample.model, starts)
+    fitted = [sample.whole(model, sample.bench.climbed(t.model, STEPS, ROUGH, True)) for t in found]
     trials = [trial_of(model, one.members[-1], one) for one in fitted]
     return [t for t in trials if bench.sound(t.model)]
 
@@ -324,7 +325,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
     members = [*(t.member for t in hopeful), *hidden]
     begun = [t.model for t in hopeful] + [_joined(bench, quick, one, None) for one in hidden]
-    refitted = bench.refine_each(begun, STEPS, ROUGH, 1)
+    refitted = [bench.climbed(one, STEPS, ROUGH, True) for one in bench.refine_each(begun, STEPS, ROUGH, 1)]
     trials = rest + [trial_of(model, member, one) for member, one in zip(members, refitted, strict=True)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 

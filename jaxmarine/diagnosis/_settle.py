@@ -39,6 +39,7 @@ def pruned(bench: Workbench, model: Model) -> Model:
     for i, where in enumerate(bench.slices(model.members)):
         least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
         less = bench.likeliest(bench.without_member(model, i), FEW_STEPS, ROUGH)
+        less = bench.climbed(less, FEW_STEPS, ROUGH)
         if sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
             continue
         less = bench.likeliest(less)
