@@ -142,6 +142,7 @@ def findings_of(
             for (name, value), s in zip(values.items(), std[where], strict=True)
         }
         without = bench.likeliest(bench.without_member(model, i), STEPS, ROUGH)
+        without = bench.climbed(without, STEPS, ROUGH)
         saved = 2 * (without.cost - model.cost)
         if not np.isfinite(saved):
             # Without it the vehicle cannot be simulated along the log: the linearisation still tells.

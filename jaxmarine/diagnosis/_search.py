@@ -202,7 +202,9 @@ def _refitted(
 ) -> list[Trial]:
     """A few steps for all suspects, more for those that may win."""
     begun = [_joined(bench, model, member, value) for member, value in starts]
-    refitted = bench.refine_each(begun, FEW_STEPS, ROUGH)
+    refitted = [
+        bench.climbed(one, FEW_STEPS, ROUGH, True) for one in bench.refine_each(begun, FEW_STEPS, ROUGH)
+    ]
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
@@ -317,7 +319,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
     begun = [_joined(bench, model, member, value) for member, value in starts]
-    rough = bench.refine_each(begun, FEW_STEPS, ROUGH)
+    rough = [bench.climbed(one, FEW_STEPS, ROUGH, True) for one in bench.refine_each(begun, FEW_STEPS, ROUGH)]
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     best = max([t.saved for t in trials], default=0.0)

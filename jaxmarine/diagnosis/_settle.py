@@ -39,10 +39,10 @@ def pruned(bench: Workbench, model: Model) -> Model:
     for i, where in enumerate(bench.slices(model.members)):
         least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
         less = bench.likeliest(bench.without_member(model, i), FEW_STEPS, ROUGH)
-        less = bench.climbed(less, FEW_STEPS, ROUGH)
-        if sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
+        climbed = bench.climbed(less)
+        if climbed is less and sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
             continue
-        less = bench.likeliest(less)
+        less = bench.likeliest(climbed)
         idle = 2 * (less.cost - model.cost) < least
         if idle or (not sound and np.isfinite(less.cost) and bench.sound(less)):
             return pruned(bench, less)
