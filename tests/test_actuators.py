@@ -346,6 +346,122 @@ def test_drag_across_the_flow_is_that_of_strips(tmp_path):
         assert not found[[0, 2, 3, 4]].any()
 
 
+def coasting(tmp_path, across: str, turn: str, terms: dict[tuple[str, str, str], float]) -> jm.Vehicle:
+    """A body of 50 kg and 4 kg m² that moves across and turns, with nothing but these terms to brake it."""
+    text = (
+        'schema = 1\nname = "body"\ndof = ["' + f'{across}", "{turn}"]\n' + "[body]\nmass = 50.0\n"
+        "inertia = [[4, 0, 0], [0, 4, 0], [0, 0, 4]]\ncog = [0, 0, 0]\ncob = [0, 0, 0]\n"
+        "[added_mass]\nmatrix = [0, 0, 0, 0, 0, 0]\n"
+        "[damping]\nlinear = [0, 0, 0, 0, 0, 0]\nquadratic = [0, 0, 0, 0, 0, 0]\n"
+        "[sensors]\nvelocity = 0.002\nrate = 0.001\n"
+    )
+    keys = ("axis", "size", "velocity")
+    for axes, value in terms.items():
+        named = "".join(f'{key} = "{axis}"\n' for key, axis in zip(keys, axes, strict=True))
+        text += f"[[cross_damping]]\n{named}value = {value}\n"
+    return read(tmp_path, text)
+
+
+def left_alone(craft: jm.Vehicle, across: float, turn: float) -> np.ndarray:
+    """Its velocity across and turn [m/s, rad/s] over 10 s."""
+    velocity = np.zeros(6)
+    velocity[list(craft.axes)] = across, turn
+    t = np.arange(0.0, 10.01, 0.1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), None, np.zeros((len(t), 6)), (), "left")
+    run = jm.simulate(craft, log, jm.initial_state(craft, velocity=velocity))
+    return np.asarray(run.channels)[:, 6:12][:, list(craft.axes)]
+
+
+PAIRS = [("sway", "yaw"), ("heave", "pitch")]
+
+
+@pytest.mark.parametrize(("across", "turn"), PAIRS)
+@pytest.mark.parametrize(("v", "r"), [(0.6, 0.4), (-0.6, 0.4), (0.6, -0.4)])
+def test_damping_between_axes_is_that_of_closed_forms(tmp_path, across, turn, v, r):
+    t = np.arange(0.0, 10.01, 0.1)
+    # m v' = -a |r| v - b |v| r, with r as it was.
+    a, b = 30.0, 12.0
+    force = {(across, turn, across): a, (across, across, turn): b}
+    found = left_alone(coasting(tmp_path, across, turn, force), v, r)
+    by_hand = v * np.exp(-(a * abs(r) + b * r * np.sign(v)) * t / 50.0)
+    np.testing.assert_allclose(found, np.stack([by_hand, np.full_like(t, r)], axis=1), rtol=1e-6)
+    # I r' = -a |v| r - b |r| v, with v as it was.
+    a, b = 2.0, 0.7
+    moment = {(turn, across, turn): a, (turn, turn, across): b}
+    found = left_alone(coasting(tmp_path, across, turn, moment), v, r)
+    by_hand = r * np.exp(-(a * abs(v) + b * v * np.sign(r)) * t / 4.0)
+    np.testing.assert_allclose(found, np.stack([np.full_like(t, v), by_hand], axis=1), rtol=1e-6)
+
+
+CROSS = {
+    "sway<-|yaw|sway": 25.0,
+    "sway<-|sway|yaw": -40.0,
+    "yaw<-|yaw|sway": -15.0,
+    "yaw<-|sway|yaw": 50.0,
+}
+
+
+def crossed(tmp_path, values: dict[str, float], text: str = SHIP) -> jm.Vehicle:
+    """A craft, the ship if no other is given, with these terms."""
+    terms = ""
+    for name, value in values.items():
+        axis, size, velocity = name.replace("<-|", " ").replace("|", " ").split()
+        terms += (
+            f'[[cross_damping]]\naxis = "{axis}"\nsize = "{size}"\nvelocity = "{velocity}"\nvalue = {value}\n'
+        )
+    return read(tmp_path, text.replace("[sensors]", terms + "[sensors]"))
+
+
+def test_damping_between_axes_is_written_and_checked(tmp_path):
+    craft = crossed(tmp_path, CROSS)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.structure(craft) == jax.tree.structure(again)
+    np.testing.assert_array_equal(again.actuators[2].value, list(CROSS.values()))
+    # What moves one axis alone is in the file's matrices.
+    nu = jnp.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    assert not np.asarray(craft.actuators[2].wrench(jnp.zeros(0), resting(nu))).any()
+    slopes = jax.jacfwd(lambda nu: craft.actuators[2].wrench(jnp.zeros(0), resting(nu)))(jnp.zeros(6))
+    assert np.isfinite(np.asarray(slopes)).all()
+    text = (tmp_path / "again.toml").read_text()
+    for wrong, told in (('axis = "sway"', "did you mean"), ("value = 25.0\n", "cross_damping[1].value")):
+        with pytest.raises(InputError) as error:
+            read(tmp_path, text.replace(wrong, wrong.replace("sway", "swy") if "axis" in wrong else "", 1))
+        assert told in str(error.value)
+    with pytest.raises(InputError, match="another actuator's"):
+        read(tmp_path, text.replace('size = "yaw"\nvelocity = "sway"', 'size = "sway"\nvelocity = "yaw"', 1))
+
+
+def resting(nu_r) -> Flow:
+    return Flow(nu_r, jnp.asarray(1000.0), nu_r, jnp.eye(3), jnp.zeros(0), {})
+
+
+@pytest.mark.slow
+def test_damping_between_axes_that_the_file_has_as_zero_is_fitted(tmp_path):
+    text = jm.packaged_vehicle("cybership2").read_text()
+    hidden_terms = {
+        "sway<-|yaw|sway": 8.0,
+        "sway<-|sway|yaw": -6.0,
+        "yaw<-|yaw|sway": -1.5,
+        "yaw<-|sway|yaw": 2.5,
+    }
+    true, file = crossed(tmp_path, hidden_terms, text), crossed(tmp_path, dict.fromkeys(CROSS, 0.0), text)
+    t, rng = np.arange(0.0, 240.0, 0.2), np.random.default_rng(3)
+    commands = np.repeat(rng.uniform(-0.9, 0.9, (len(t) // 25, 3)), 25, axis=0)
+    log = recorded(true, commands, t, seed=2, name="log.csv")
+
+    def free(v):
+        return v.actuators[0].value, v.damping.quadratic
+
+    fit = jm.fit(file, log, free, prior=0.5, entries="diagonal")
+    assert fit.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    for name, value in hidden_terms.items():
+        one = fit[f"cross_damping.value[{name}]"]
+        assert one.start == 0.0 and one.value == pytest.approx(value, abs=4 * one.std_model)
+        # It is known: the prior alone leaves half of what the axes' own damping makes usual, 10 and 2.7.
+        assert one.std_model < 0.3 * abs(value)
+
+
 HULL = """
 [hull_polynomial]
 length = 3.0
