@@ -416,10 +416,14 @@ _FREE = {
     ),
     "surface": lambda v: tuple(one.lift_slope for one in v.actuators if one.key == "surface"),
     "cross_flow": lambda v: tuple(one.coefficient for one in v.actuators if one.key == "cross_flow"),
+    "cross_damping": lambda v: tuple(one.value for one in v.actuators if one.key == "cross_damping"),
+    "hull_polynomial": lambda v: tuple(
+        (one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "hull_polynomial"
+    ),
     "wind": lambda v: tuple((one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "wind"),
 }
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
-_OF_ACTUATORS = ("propeller", "surface", "cross_flow", "wind")
+_OF_ACTUATORS = ("propeller", "surface", "cross_flow", "cross_damping", "hull_polynomial", "wind")
 # Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
 _ALL = ("coupling", *_OF_THRUSTERS, *_OF_ACTUATORS)
 # Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.

@@ -346,6 +346,246 @@ def test_drag_across_the_flow_is_that_of_strips(tmp_path):
         assert not found[[0, 2, 3, 4]].any()
 
 
+def coasting(tmp_path, across: str, turn: str, terms: dict[tuple[str, str, str], float]) -> jm.Vehicle:
+    """A body of 50 kg and 4 kg m² that moves across and turns, with nothing but these terms to brake it."""
+    text = (
+        'schema = 1\nname = "body"\ndof = ["' + f'{across}", "{turn}"]\n' + "[body]\nmass = 50.0\n"
+        "inertia = [[4, 0, 0], [0, 4, 0], [0, 0, 4]]\ncog = [0, 0, 0]\ncob = [0, 0, 0]\n"
+        "[added_mass]\nmatrix = [0, 0, 0, 0, 0, 0]\n"
+        "[damping]\nlinear = [0, 0, 0, 0, 0, 0]\nquadratic = [0, 0, 0, 0, 0, 0]\n"
+        "[sensors]\nvelocity = 0.002\nrate = 0.001\n"
+    )
+    keys = ("axis", "size", "velocity")
+    for axes, value in terms.items():
+        named = "".join(f'{key} = "{axis}"\n' for key, axis in zip(keys, axes, strict=True))
+        text += f"[[cross_damping]]\n{named}value = {value}\n"
+    return read(tmp_path, text)
+
+
+def left_alone(craft: jm.Vehicle, across: float, turn: float) -> np.ndarray:
+    """Its velocity across and turn [m/s, rad/s] over 10 s."""
+    velocity = np.zeros(6)
+    velocity[list(craft.axes)] = across, turn
+    t = np.arange(0.0, 10.01, 0.1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), None, np.zeros((len(t), 6)), (), "left")
+    run = jm.simulate(craft, log, jm.initial_state(craft, velocity=velocity))
+    return np.asarray(run.channels)[:, 6:12][:, list(craft.axes)]
+
+
+PAIRS = [("sway", "yaw"), ("heave", "pitch")]
+
+
+@pytest.mark.parametrize(("across", "turn"), PAIRS)
+@pytest.mark.parametrize(("v", "r"), [(0.6, 0.4), (-0.6, 0.4), (0.6, -0.4)])
+def test_damping_between_axes_is_that_of_closed_forms(tmp_path, across, turn, v, r):
+    t = np.arange(0.0, 10.01, 0.1)
+    # m v' = -a |r| v - b |v| r, with r as it was.
+    a, b = 30.0, 12.0
+    force = {(across, turn, across): a, (across, across, turn): b}
+    found = left_alone(coasting(tmp_path, across, turn, force), v, r)
+    by_hand = v * np.exp(-(a * abs(r) + b * r * np.sign(v)) * t / 50.0)
+    np.testing.assert_allclose(found, np.stack([by_hand, np.full_like(t, r)], axis=1), rtol=1e-6)
+    # I r' = -a |v| r - b |r| v, with v as it was.
+    a, b = 2.0, 0.7
+    moment = {(turn, across, turn): a, (turn, turn, across): b}
+    found = left_alone(coasting(tmp_path, across, turn, moment), v, r)
+    by_hand = r * np.exp(-(a * abs(v) + b * v * np.sign(r)) * t / 4.0)
+    np.testing.assert_allclose(found, np.stack([np.full_like(t, v), by_hand], axis=1), rtol=1e-6)
+
+
+CROSS = {
+    "sway<-|yaw|sway": 25.0,
+    "sway<-|sway|yaw": -40.0,
+    "yaw<-|yaw|sway": -15.0,
+    "yaw<-|sway|yaw": 50.0,
+}
+
+
+def crossed(tmp_path, values: dict[str, float], text: str = SHIP) -> jm.Vehicle:
+    """A craft, the ship if no other is given, with these terms."""
+    terms = ""
+    for name, value in values.items():
+        axis, size, velocity = name.replace("<-|", " ").replace("|", " ").split()
+        terms += (
+            f'[[cross_damping]]\naxis = "{axis}"\nsize = "{size}"\nvelocity = "{velocity}"\nvalue = {value}\n'
+        )
+    return read(tmp_path, text.replace("[sensors]", terms + "[sensors]"))
+
+
+def test_damping_between_axes_is_written_and_checked(tmp_path):
+    craft = crossed(tmp_path, CROSS)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert jax.tree.structure(craft) == jax.tree.structure(again)
+    np.testing.assert_array_equal(again.actuators[2].value, list(CROSS.values()))
+    # What moves one axis alone is in the file's matrices.
+    nu = jnp.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    assert not np.asarray(craft.actuators[2].wrench(jnp.zeros(0), resting(nu))).any()
+    slopes = jax.jacfwd(lambda nu: craft.actuators[2].wrench(jnp.zeros(0), resting(nu)))(jnp.zeros(6))
+    assert np.isfinite(np.asarray(slopes)).all()
+    text = (tmp_path / "again.toml").read_text()
+    for wrong, told in (('axis = "sway"', "did you mean"), ("value = 25.0\n", "cross_damping[1].value")):
+        with pytest.raises(InputError) as error:
+            read(tmp_path, text.replace(wrong, wrong.replace("sway", "swy") if "axis" in wrong else "", 1))
+        assert told in str(error.value)
+    with pytest.raises(InputError, match="another actuator's"):
+        read(tmp_path, text.replace('size = "yaw"\nvelocity = "sway"', 'size = "sway"\nvelocity = "yaw"', 1))
+
+
+def resting(nu_r) -> Flow:
+    return Flow(nu_r, jnp.asarray(1000.0), nu_r, jnp.eye(3), jnp.zeros(0), {})
+
+
+@pytest.mark.slow
+def test_damping_between_axes_that_the_file_has_as_zero_is_fitted(tmp_path):
+    text = jm.packaged_vehicle("cybership2").read_text()
+    hidden_terms = {
+        "sway<-|yaw|sway": 8.0,
+        "sway<-|sway|yaw": -6.0,
+        "yaw<-|yaw|sway": -1.5,
+        "yaw<-|sway|yaw": 2.5,
+    }
+    true, file = crossed(tmp_path, hidden_terms, text), crossed(tmp_path, dict.fromkeys(CROSS, 0.0), text)
+    t, rng = np.arange(0.0, 240.0, 0.2), np.random.default_rng(3)
+    commands = np.repeat(rng.uniform(-0.9, 0.9, (len(t) // 25, 3)), 25, axis=0)
+    log = recorded(true, commands, t, seed=2, name="log.csv")
+
+    def free(v):
+        return v.actuators[0].value, v.damping.quadratic
+
+    fit = jm.fit(file, log, free, prior=0.5, entries="diagonal")
+    assert fit.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    for name, value in hidden_terms.items():
+        one = fit[f"cross_damping.value[{name}]"]
+        assert one.start == 0.0 and one.value == pytest.approx(value, abs=4 * one.std_model)
+        # It is known: the prior alone leaves half of what the axes' own damping makes usual, 10 and 2.7.
+        assert one.std_model < 0.3 * abs(value)
+
+
+HULL = """
+[hull_polynomial]
+length = 3.0
+draft = 0.2
+surge = [0.022, -0.04, 0.002, 0.011, 0.771]
+sway = [-0.315, 0.083, -1.607, 0.379, -0.391, 0.008]
+yaw = [-0.137, -0.049, -0.03, -0.294, 0.055, -0.013]
+"""
+
+
+def by_polynomials(u, v, r):
+    """Surge, sway and yaw of `HULL` as they are printed, for a ship that goes ahead."""
+    speed = np.hypot(u, v)
+    a, b, size = v / speed, r * 3.0 / speed, 0.5 * 1000 * 3.0 * 0.2 * speed**2
+    x = -0.022 - 0.04 * a**2 + 0.002 * a * b + 0.011 * b**2 + 0.771 * a**4
+    y = -0.315 * a + 0.083 * b - 1.607 * a**3 + 0.379 * a**2 * b - 0.391 * a * b**2 + 0.008 * b**3
+    n = -0.137 * a - 0.049 * b - 0.03 * a**3 - 0.294 * a**2 * b + 0.055 * a * b**2 - 0.013 * b**3
+    return np.array([size * x, size * y, 3.0 * size * n])
+
+
+def test_a_hull_of_polynomials_has_those_of_the_book(tmp_path):
+    craft = read(tmp_path, BARE + HULL)
+    assert craft.command_names == ()
+    plant = craft.plant()
+
+    def pushed(nu):
+        return plant.pushed(jnp.zeros(0), nu)
+
+    def found(u, v, r):
+        wrench = np.asarray(pushed(jnp.array([u, v, 0.0, 0.0, 0.0, r])))
+        assert not wrench[2:5].any()
+        return wrench[[0, 1, 5]]
+
+    for u, v, r in ((1.2, 0.0, 0.0), (1.0, -0.3, 0.2), (0.6, 0.25, -0.15), (0.7, 0.5, 0.1), (0.4, -0.1, 0.0)):
+        # A fiftieth of the turning speed counts as speed.
+        np.testing.assert_allclose(found(u, v, r), by_polynomials(u, v, r), rtol=2e-4, atol=1e-3)
+        # Astern it is the mirror image: surge, turn and moment have the other sign.
+        x, y, n = by_polynomials(u, v, -r)
+        np.testing.assert_allclose(found(-u, v, r), [-x, y, -n], rtol=2e-4, atol=1e-3)
+    assert found(-1.0, 0.0, 0.0)[0] > 0.0 > found(1.0, 0.0, 0.0)[0]
+    # At rest there is nothing, on the spot something bounded, and slopes are finite and those of differences.
+    assert not found(0.0, 0.0, 0.0).any()
+    assert np.abs(found(0.0, 0.0, 0.5)).max() < 0.5 * 1000 * 3.0**2 * 0.2 * 1.5**2
+    slopes = jax.jacfwd(pushed)
+    for nu in (
+        np.zeros(6),
+        [0, 0, 0, 0, 0, 0.3],
+        [0, 0.2, 0, 0, 0, 0],
+        [0.01, 0.2, 0, 0, 0, 0.1],
+        [0.8, 0.1, 0, 0, 0, 0.2],
+    ):
+        nu = jnp.asarray(np.array(nu, float))
+        slope = np.asarray(slopes(nu))
+        assert np.isfinite(slope).all()
+        if nu.any():
+            for j in (0, 1, 5):
+                step = jnp.zeros(6).at[j].set(1e-8)
+                difference = np.asarray(pushed(nu + step) - pushed(nu - step)) / 2e-8
+                np.testing.assert_allclose(slope[:, j], difference, rtol=1e-5, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def hull_of_polynomials(tmp_path_factory) -> jm.Vehicle:
+    """The ship with polynomials beside its damping."""
+    return read(tmp_path_factory.mktemp("hull"), SHIP.replace("[sensors]", HULL + "[sensors]"))
+
+
+@pytest.mark.parametrize("wrong", [("0.022, ", ""), ("draft = 0.2", "draft = 0.0"), ("-0.049", "nan")])
+def test_a_hull_of_polynomials_is_written_and_checked(hull_of_polynomials, tmp_path, wrong):
+    jm.save_vehicle(hull_of_polynomials, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert all(map(np.array_equal, jax.tree.leaves(hull_of_polynomials), jax.tree.leaves(again)))
+    with pytest.raises(InputError, match="hull_polynomial"):
+        read(tmp_path, BARE + HULL.replace(*wrong))
+
+
+@pytest.mark.slow
+def test_numbers_of_a_hull_of_polynomials_are_fitted(hull_of_polynomials):
+    craft = hull_of_polynomials
+
+    def free(v):
+        return v.actuators[2].sway, v.actuators[2].yaw
+
+    t = np.arange(0.0, 60.0, 0.1)
+    log = recorded(craft, operated(craft, t, seed=1), t, seed=2, name="log.csv")
+    begin = eqx.tree_at(free, craft, tuple(0.7 * one for one in free(craft)))
+    fit = jm.fit(begin, log, free, prior=0.5)
+    truth = np.concatenate(free(craft))
+    assert fit.parameters[7].name == "hull_polynomial.yaw[1]"
+    for parameter, true in zip(fit.parameters, truth, strict=True):
+        assert parameter.value == pytest.approx(true, abs=4 * parameter.std_model)
+    # What the log shows best is known thrice as well as it was guessed, and the guess was wrong.
+    for k in (0, 6):
+        assert fit.parameters[k].std_model < 0.5 * abs(fit.parameters[k].start) / 3
+        assert abs(fit.parameters[k].start - truth[k]) > 2 * fit.parameters[k].std_model
+
+
+def test_drift_and_turn_take_the_propeller_out_of_the_wake(tmp_path):
+    craft = read(
+        tmp_path,
+        SHIP.replace("wake_fraction = 0.3", "wake_fraction = 0.3\nwake_decay = 4.0\nwake_arm = -1.2"),
+    )
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    craft, plain = jm.load_vehicle(tmp_path / "again.toml"), read(tmp_path, SHIP)
+    n, u, v, r = 12.0, 0.9, -0.2, 0.15
+    drift = np.arctan2(-v, u) + 1.2 * r / np.hypot(u, v)
+    lower = eqx.tree_at(
+        lambda ship: ship.actuators[0].wake_fraction, plain, jnp.array([0.3 * np.exp(-4.0 * drift**2)])
+    )
+    acting = jnp.array([n, 0.2])
+    for nu in ([u, v, 0, 0, 0, r], [u, -v, 0, 0, 0, -r]):
+        nu = jnp.array(nu, float)
+        found, by_hand = (np.asarray(one.plant().pushed(acting, nu)) for one in (craft, lower))
+        np.testing.assert_allclose(found, by_hand, rtol=1e-12)
+        assert np.abs(found - np.asarray(plain.plant().pushed(acting, nu))).max() > 0.5
+    for nu in ([u, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]):
+        nu = jnp.array(nu, float)
+        same = (np.asarray(one.plant().pushed(acting, nu)) for one in (craft, plain))
+        np.testing.assert_allclose(*same, rtol=1e-12)
+    for nu in ([0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.4], [1e-9, 0, 0, 0, 0, 0.4], [0, 0.1, 0, 0, 0, 0]):
+        slope = jax.jacfwd(lambda nu: craft.plant().pushed(acting, nu))(jnp.array(nu, float))
+        assert np.isfinite(np.asarray(slope)).all()
+
+
 WIND = """
 [wind]
 frontal_area = 0.4

@@ -1,5 +1,7 @@
 """Turning circles and dives of the packaged ship and torpedo, against equations of others."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -85,13 +87,20 @@ def circle(t, x, y, psi) -> np.ndarray:
     return np.array([np.interp(at[0], t, x), *np.interp(at, t, y)]) / L
 
 
+def sailed(vehicle: jm.Vehicle, t: np.ndarray, rudder: np.ndarray) -> dict[str, np.ndarray]:
+    """What a ship does from full speed ahead under a rudder [rad], heading not wrapped."""
+    commands = np.stack([np.full_like(t, REVOLUTIONS), rudder], axis=1)
+    log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, vehicle.command_names, "sailed")
+    run = jm.simulate(vehicle, log, jm.initial_state(vehicle, velocity=(SPEED, 0, 0, 0, 0, 0)))
+    found = {name: np.asarray(run[name]) for name in ("x", "y", "psi", "u", "v", "r")}
+    return found | {"psi": np.unwrap(found["psi"])}
+
+
 def by_jaxmarine(vehicle: jm.Vehicle, angle: float) -> np.ndarray:
     t = np.arange(0.0, 120.0, 0.1)
-    commands = np.stack([np.full_like(t, REVOLUTIONS), np.where(t > 0.0, angle, 0.0)], axis=1)
-    log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, vehicle.command_names, "circle")
-    run = jm.simulate(vehicle, log, jm.initial_state(vehicle, velocity=(SPEED, 0, 0, 0, 0, 0)))
     # The rudder is told at the second sample.
-    return circle(t, *(np.asarray(run[name]) for name in ("x", "y")), np.unwrap(np.asarray(run["psi"])))
+    run = sailed(vehicle, t, np.where(t > 0.0, angle, 0.0))
+    return circle(t, run["x"], run["y"], run["psi"])
 
 
 @pytest.mark.parametrize("degrees", [35.0, -35.0, 20.0])
@@ -107,6 +116,72 @@ def test_the_tanker_turns_as_others_say(degrees):
     np.testing.assert_allclose(by_jaxmarine(bare, angle), other, rtol=0.01)
     # The file's own terms stand for the polynomials.
     np.testing.assert_allclose(by_jaxmarine(tanker, angle), other, rtol=0.03)
+
+
+# ShipMMG/shipmmg 0.0.11 with its KVLCC2 of 7 m (its `tests/test_mmg_3dof.py`), 17.95 rev/s, from 1.17248
+# m/s. By `simulate_mmg_3dof(..., u0=2.29 * 0.512, rtol=1e-9, atol=1e-10)` with the rudder hard over from the
+# beginning: advance, transfer, tactical diameter [lengths], times [s] of 90, 180 and 360 degrees; u, v, r
+# [m/s, rad/s] after 100 s.
+SHIPMMG_CIRCLES = {
+    35.0: ([2.36744, 1.08559, 2.68449, 18.2840, 35.9217, 72.8994], [0.622493, -0.218010, 0.084388]),
+    -35.0: ([2.24060, 0.97817, 2.43427, 17.3738, 34.2430, 69.6877], [0.569819, 0.212572, -0.088086]),
+    20.0: ([3.18995, 1.68199, 3.99684, 23.2051, 43.9874, 87.1027], [0.892623, -0.231635, 0.072457]),
+}
+# By its `zigzag_test_mmg_3dof` with 16001 times to 80 s and the rudder at 0.276 rad/s: times [s] at which
+# the heading passes the rudder's angle to the other side, and overshoots [degrees]. Its solver was given
+# rtol=1e-8, atol=1e-10, max_step=0.05; by itself it takes none of these, steps over the moves of the rudder,
+# leaves that off by up to two degrees, and has overshoots of 10.94, 15.63, 12.18 in the first row.
+SHIPMMG_ZIGZAGS = {
+    20.0: ([8.3726, 27.9083, 51.5761, 72.4176], [10.5671, 15.7203, 12.3045]),
+    10.0: ([7.8802, 25.5668, 50.5612, 72.2127], [4.5842, 11.8770, 9.4291]),
+    -20.0: ([7.9306, 29.9934, 50.8547, 74.4735], [13.2165, 12.4680, 15.5026]),
+}
+
+
+@pytest.mark.parametrize("degrees", SHIPMMG_CIRCLES)
+def test_the_tanker_of_polynomials_turns_as_shipmmg_has_it(degrees):
+    t = np.arange(0.0, 101.0, 0.1)
+    run = sailed(packaged("kvlcc2_mmg"), t, np.full_like(t, np.deg2rad(degrees)))
+    course, steady = SHIPMMG_CIRCLES[degrees]
+    turned = [np.interp(turn, np.abs(run["psi"]), t) for turn in (np.pi / 2, np.pi, 2 * np.pi)]
+    found = [*circle(t, run["x"], run["y"], run["psi"]), *turned]
+    np.testing.assert_allclose(found, course, rtol=0.01)
+    np.testing.assert_allclose([run[name][1000] for name in ("u", "v", "r")], steady, rtol=0.01)
+
+
+def test_the_tanker_of_polynomials_has_those_that_are_printed():
+    tanker = packaged("kvlcc2_mmg")
+    hulls = tuple(one for one in tanker.actuators if one.key == "hull_polynomial")
+    plant = jm.Vehicle(**{**vars(tanker), "actuators": hulls}).plant()
+    for u, v, r in ((1.1, 0.0, 0.0), (0.9, -0.2, 0.06), (0.6, 0.25, -0.09), (0.8, -0.4, 0.02)):
+        found = np.asarray(plant.pushed(jnp.zeros(0), jnp.array([u, v, 0.0, 0.0, 0.0, r])))
+        # A fiftieth of the turning speed counts as speed.
+        np.testing.assert_allclose(found[[0, 1, 5]], hull(u, v, r), rtol=1e-3, atol=0.01)
+
+
+def zigzag(vehicle: jm.Vehicle, angle: float) -> tuple[list[float], list[float]]:
+    """Times [s] at which the heading passes the rudder's angle [rad], and how far it goes beyond [rad]."""
+    t = np.arange(0.0, 76.0, 0.01)
+    rudder = np.where(t > 0.0, angle, 0.0)
+    passed, begin, side = [], 0, np.sign(angle)
+    while True:
+        heading = sailed(vehicle, t, rudder)["psi"]
+        beyond = np.flatnonzero(side * heading[begin:] >= abs(angle))
+        if not len(beyond):
+            break
+        begin, side = begin + beyond[0], -side
+        passed.append(float(t[begin]))
+        rudder[begin:] = side * abs(angle)
+    swings = [abs(heading[(t >= a) & (t <= b)]).max() for a, b in itertools.pairwise(passed)]
+    return passed, [swing - abs(angle) for swing in swings]
+
+
+@pytest.mark.parametrize("degrees", SHIPMMG_ZIGZAGS)
+def test_the_tanker_of_polynomials_swings_as_shipmmg_has_it(degrees):
+    passed, beyond = zigzag(packaged("kvlcc2_mmg"), np.deg2rad(degrees))
+    times, overshoots = SHIPMMG_ZIGZAGS[degrees]
+    np.testing.assert_allclose(passed, times, rtol=0.01)
+    np.testing.assert_allclose(np.rad2deg(beyond), overshoots, rtol=0.01)
 
 
 # remus100 of PythonVehicleSimulator from rest: 1200 revolutions a minute, planes at -3 degrees from 10 s to

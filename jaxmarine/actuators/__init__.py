@@ -13,7 +13,9 @@ from ._base import at_point as at_point
 from ._base import joined as joined
 from ._base import servo as servo
 from ._base import stacked as stacked
+from ._cross_damping import CrossDamping as CrossDamping
 from ._cross_flow import CrossFlow as CrossFlow
+from ._hull_polynomial import HullPolynomial as HullPolynomial
 from ._propeller import Propellers as Propellers
 from ._supply import Supply as Supply
 from ._surface import FREE as FREE
@@ -21,4 +23,11 @@ from ._surface import Surfaces as Surfaces
 from ._swivel import Swivels as Swivels
 from ._wind import Wind as Wind
 
-KINDS: tuple[type[AbstractActuators], ...] = (Propellers, Surfaces, CrossFlow, Wind)
+KINDS: tuple[type[AbstractActuators], ...] = (
+    Propellers,
+    Surfaces,
+    CrossFlow,
+    CrossDamping,
+    HullPolynomial,
+    Wind,
+)

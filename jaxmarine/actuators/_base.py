@@ -7,7 +7,7 @@ actuators of one kind in a vehicle are one module, with an entry each along the 
 """
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -88,6 +88,14 @@ class AbstractActuators(eqx.Module):
     @abc.abstractmethod
     def usual(self) -> Float[np.ndarray, "columns 2"]:
         """Between which commands an operator who tries the vehicle out moves each column."""
+
+    def typical(self, braking: Float[np.ndarray, "6"]) -> Mapping[str, np.ndarray]:
+        """How large the numbers of some fields commonly are that may be zero in a file, by the field.
+
+        - `braking` [N s²/m², N m s²]: the craft's own quadratic damping on each axis.
+        """
+        del braking
+        return {}
 
     @abc.abstractmethod
     def servo(self) -> Drive:

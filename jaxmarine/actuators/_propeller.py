@@ -17,6 +17,8 @@ from ._base import AbstractActuators, Flow, Stream, along, at_point, servo, stac
 from ._swivel import AZIMUTH, turned
 
 _OPEN_WATER = "3 numbers [k0, k1, k2] of k0 + k1 J + k2 J²"
+# Below this speed [m/s] a flow has no direction of its own.
+_SLOW = 1e-6
 
 
 class PropellerTable(Table):
@@ -34,6 +36,10 @@ class PropellerTable(Table):
         exclude_if=lambda kq: not any(kq),
     )
     wake_fraction: Number = Field(default=0.0, lt=1, description="a number below 1")
+    wake_decay: Number = Field(
+        default=0.0, ge=0, description="a number not below zero", exclude_if=lambda decay: decay == 0.0
+    )
+    wake_arm: Number | None = Field(default=None, description="a number, x_P [m]; left out, the position's x")
     thrust_deduction: Number = Field(default=0.0, lt=1, description="a number below 1")
     astern_side_force: Number = Field(
         default=0.0, description="a number, share of the thrust", exclude_if=lambda share: share == 0.0
@@ -72,8 +78,12 @@ class Propellers(AbstractActuators):
     its number at rest alone. `gain` is a factor of all that. Those of `swivels` have a
     column `<name>_angle` [rad], by which `direction` turns right-handed about `axis`.
 
+    Drift and turn take a propeller out of the hull's wake: that is wake_fraction exp(-wake_decay b²), with
+    b = drift - wake_arm r / U [rad] the drift of the flow at x = `wake_arm`. None: no propeller has it.
+
     Source: after Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52 (standard MMG
-    method), and Fossen (2021).
+    method), and Fossen (2021); the wake in turns: Hirano (1980), J. Soc. Nav. Archit. Japan 147, where
+    wake_decay is 4.
     """
 
     key: ClassVar[str] = "propeller"
@@ -94,6 +104,8 @@ class Propellers(AbstractActuators):
     delay: Float[Array, " propellers"]
     gain: Float[Array, " propellers"]
     axis: Float[Array, "propellers 3"]
+    wake_decay: Float[Array, " propellers"] | None
+    wake_arm: Float[Array, " propellers"] | None
     names: tuple[str, ...] = eqx.field(static=True)
     swivels: tuple[int, ...] = eqx.field(static=True)
 
@@ -105,12 +117,16 @@ class Propellers(AbstractActuators):
         reverse = jnp.where(stated, stacked(tables, "kt_reverse", 3), still)
         names = tuple(one.name for one in tables)
         numbers = {name: stacked(tables, name) for name in _NUMBERS}
+        decays = any(one.wake_decay for one in tables)
+        arms = [one.position[0] if one.wake_arm is None else one.wake_arm for one in tables]
         return cls(
             **vectors,
             **numbers,
             kt_reverse=reverse,
             gain=jnp.ones(len(names)),
             axis=stacked(tables, "swivel", 3),
+            wake_decay=stacked(tables, "wake_decay") if decays else None,
+            wake_arm=jnp.asarray(np.array(arms, float)) if decays else None,
             names=names,
             swivels=tuple(i for i, one in enumerate(tables) if one.swivel is not None),
         )
@@ -121,6 +137,8 @@ class Propellers(AbstractActuators):
             table = {key: np.asarray(getattr(self, key)[i]).tolist() for key in (*_NUMBERS, *_VECTORS)}
             if table["kt_reverse"] == [table["kt"][0], 0.0, 0.0]:
                 del table["kt_reverse"]
+            if self.wake_decay is not None and self.wake_arm is not None:
+                table |= {"wake_decay": float(self.wake_decay[i]), "wake_arm": float(self.wake_arm[i])}
             if i in self.swivels:
                 table["swivel"] = np.asarray(self.axis[i]).tolist()
             out.append({"name": name} | table)
@@ -160,6 +178,17 @@ class Propellers(AbstractActuators):
         """Speed through the water along the direction, without wake [m/s]."""
         return along(at_point(flow.nu_r, self.position), direction)
 
+    def _wake(self, flow: Flow) -> Float[Array, " propellers"]:
+        """Share of the speed that the hull takes from the water at the propeller."""
+        if self.wake_decay is None or self.wake_arm is None:
+            return self.wake_fraction
+        u, v, r = flow.nu_r[0], flow.nu_r[1], flow.nu_r[5]
+        squared = u**2 + v**2
+        moving = squared > _SLOW**2
+        speed = jnp.sqrt(jnp.where(moving, squared, _SLOW**2))
+        drift = -jnp.arctan2(jnp.where(moving, v, 0.0), jnp.where(moving, jnp.abs(u), 1.0))
+        return self.wake_fraction * jnp.exp(-self.wake_decay * (drift - self.wake_arm * r / speed) ** 2)
+
     def _ahead(
         self, k: Float[Array, "propellers 3"], n: Array, advance: Array
     ) -> Float[Array, " propellers"]:
@@ -169,7 +198,7 @@ class Propellers(AbstractActuators):
 
     def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
         n, direction = self._directed(state)
-        inflow = (1.0 - self.wake_fraction) * self._advance(direction, flow)
+        inflow = (1.0 - self._wake(flow)) * self._advance(direction, flow)
         pull = self.gain * self._ahead(self.kt, n, inflow)
         pull = jnp.where((n > 0.0) & (pull > 0.0), pull, 0.0)
         loading = 8.0 / jnp.pi * self.diameter**2 * pull
@@ -178,7 +207,7 @@ class Propellers(AbstractActuators):
     def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
         n, direction = self._directed(state)
         advance = self._advance(direction, flow)
-        slowed = (1.0 - self.wake_fraction) * advance
+        slowed = (1.0 - self._wake(flow)) * advance
         astern = n < 0.0
         size = flow.density * self.diameter**4 * self.gain
         ahead = (1.0 - self.thrust_deduction) * self._ahead(self.kt, n, slowed)

@@ -327,6 +327,9 @@ def set_free(
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
             flat = _places_of(part)
             value = np.abs(np.asarray(leaf).ravel()[flat])
+            usual = _usual(vehicle, path)
+            if usual is not None:
+                value = np.maximum(value, usual.ravel()[flat])
             size = np.where(value > 0, value, 1.0)
         width = std.ravel()[flat] if wide is None else wide * (size if scale is None else scale)
         sure = np.full(len(size), not name.startswith("placed"))
@@ -382,6 +385,14 @@ def _typical(vehicle: Vehicle, path) -> float | None:
         return None
     mass, inertia = float(vehicle.body.mass), np.diag(np.asarray(vehicle.body.matrix))[3:]
     return mass * (4.0 * np.sqrt(inertia.max() / mass)) ** power
+
+
+def _usual(vehicle: Vehicle, path) -> np.ndarray | None:
+    """How large the numbers of an actuator's leaf commonly are, if its kind knows that."""
+    if path[0].name != "actuators":
+        return None
+    braking = np.diag(_damping_size(vehicle, np.asarray(vehicle.damping.quadratic)))
+    return vehicle.actuators[path[1].idx].typical(braking).get(path[2].name)
 
 
 class _Mark:
