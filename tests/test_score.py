@@ -14,7 +14,7 @@ from jaxmarine.diagnosis._gain import predictions as predicted
 from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._result import Predictions
-from jaxmarine.diagnosis._score import Reduced, savings, step_with
+from jaxmarine.diagnosis._score import Reduced, root, savings, step_with
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.effects import Craft, Suspect, ThrusterGain, Waves
 from jaxmarine.fitting import Room, cut, noise_of
@@ -251,3 +251,17 @@ def test_couplings_are_what_inverse_dynamics_asks_for_where_they_are_doubled():
             # Rounding of forces of some thousand newtons.
             np.testing.assert_allclose(found[window, knot].sum(-1), asked[0] - asked[1], atol=1e-9)
     assert found.shape[-1] == 3
+
+
+def test_a_root_is_that_of_the_nearest_semidefinite_matrix():
+    """Of a matrix of rank two in very different units; and of one that rounding has spoilt."""
+    rng = np.random.default_rng(0)
+    units = np.array([1.0, 1e6, 1e-6])
+    thin = units[:, None] * rng.normal(size=(3, 2))
+    h = thin @ thin.T
+    half = root(h)
+    assert np.allclose(half @ half.T / np.outer(units, units), h / np.outer(units, units), atol=1e-12)
+    spoilt = np.array([[1.0, 1.0 + 1e-9], [1.0 + 1e-9, 1.0]])
+    half = root(spoilt)
+    assert np.allclose(half @ half.T, np.ones((2, 2)), atol=1e-8)
+    assert np.linalg.eigvalsh(half @ half.T).min() > -1e-15

@@ -13,7 +13,7 @@ from ._filed import refiled
 from ._judge import Judged
 from ._model import Member, Model, Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
-from ._score import lasting, solve
+from ._score import lasting, root, solve
 from ._search import ROUGH, STEPS, Round, evidence, putting_back
 
 # Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
@@ -64,7 +64,8 @@ def spread(
       is `off` by, zero where nothing is pulled. However heavy the prior is, it makes nothing better known.
     """
     inverse = solve(h + np.diag(precision), np.eye(len(h)))
-    by_noise = inverse @ h @ inverse
+    half = inverse @ root(h)
+    by_noise = half @ half.T
     ratio = np.sqrt(len(g) * lasting(g @ inverse) / np.maximum(np.diag(by_noise), 1e-300))
     factor = np.where(white & (ratio < BY_CHANCE), 1.0, np.maximum(ratio, 1.0))
     pull = inverse * (precision * off)
@@ -104,7 +105,8 @@ def _considered(bench: Workbench, now: Judged, dense: bool) -> np.ndarray:
     # What is held has its gradient from the logs alone: its prior would hide that.
     pulled = g[estimated] + (now.knots.precision * now.knots.offset)[estimated]
     slope = size * g[doubted] - shift.T @ pulled
-    covariance = solve(told / now.phi + np.eye(len(told)), np.eye(len(told)))
+    half = root(told / now.phi)
+    covariance = np.linalg.inv(half @ half.T + np.eye(len(told)))
     mean = -covariance @ slope / now.phi
     out = np.zeros((width, width))
     out[np.ix_(estimated, estimated)] = shift @ (covariance + np.outer(mean, mean)) @ shift.T

@@ -32,6 +32,13 @@ def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:
     return (np.linalg.solve(scaled + ridge, (g.T / scale).T).T / scale).T
 
 
+def root(h: np.ndarray) -> np.ndarray:
+    """A matrix that times its transpose is a positive semidefinite h, which rounding may have spoilt."""
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    sizes, vectors = np.linalg.eigh(h / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(sizes, 0.0))
+
+
 def step_with(
     g: Float[np.ndarray, " z"],
     h: Float[np.ndarray, "z z"],
