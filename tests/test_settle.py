@@ -18,7 +18,7 @@ from jaxmarine.diagnosis._knots import Knots
 from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Sample, Workbench
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
-from jaxmarine.diagnosis._search import Found, Round, Trial, beside_file, nats
+from jaxmarine.diagnosis._search import Found, Round, Trial, _decided, beside_file, nats, significant
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
@@ -172,6 +172,22 @@ def test_a_member_must_save_more_where_its_own_axis_is_disturbed(disturbed, kept
     model = bench.fit(4)
     assert 2 * (bench.fit().cost - model.cost) == pytest.approx(100.0, rel=0.05)
     assert suspects(_settle.pruned(bench, model)) == kept
+
+
+def test_the_best_that_is_sure_wins_a_round_and_not_what_a_few_windows_pull():
+    """The fourth saves most, by one window in ten that pulls it; the fifth less, by all alike."""
+    bench = Bench(off(s5=0.1))
+    pulled = np.arange(WINDOWS) < 4
+    bench.y = bench.y + 1.5 * pulled[:, None] * bench.columns[..., 4]
+    begun = bench.fit()
+    trials = [trial(bench, begun, i) for i in (4, 5)]
+    assert trials[0].saved > 1.5 * trials[1].saved > 3 * LEAST
+    for one, sure in zip(trials, (False, True), strict=True):
+        after = bench.screen(one.model)
+        assert significant(bench, one, after, 1.0) == sure
+    won = _decided(bench, begun, trials)
+    assert won is not None and won[0].accepted and won[0].trials[0].member == Member(5)
+    assert _decided(bench, begun, trials[:1]) is None
 
 
 def test_of_two_members_that_say_the_same_one_stays():

@@ -292,7 +292,7 @@ def significant(bench: Workbench, trial: Trial, after: Reduced, phi: float) -> b
     """
     where = bench.slices(trial.model.members)[-1]
     own = own_dispersion(bench, trial.model, after, where, phi)
-    return trial.saved > needed(bench, trial.member, own)
+    return bool(trial.saved > needed(bench, trial.member, own))
 
 
 def weigh(bench: Workbench, model: Model, stats: Reduced, progress: Progress = silent) -> list[Trial]:
