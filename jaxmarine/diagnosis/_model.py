@@ -87,6 +87,8 @@ EXACT = 1e-6
 ESTIMATES, LIKELIER = 4, 0.5
 # Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
 UNLEARNED = 0.25
+# Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
+STAIRS = 20
 # Times that windows are followed, each time from where the one before lets one expect them to begin.
 PASSES = 3
 # A noise that was raised by this much says that more than it was left.
@@ -546,7 +548,7 @@ class Workbench:
             if not last or member is model.members[-1]
         ]
         for place, step in itertools.product(stairs, (dt, -dt)):
-            while True:
+            for _ in range(STAIRS):
                 moved = np.where(np.arange(len(model.z)) == place, model.z + step, model.z)
                 other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
                 if not (other.cost < model.cost - LIKELIER and self.sound(other)):
