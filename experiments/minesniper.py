@@ -33,12 +33,13 @@ from rich.progress import Progress
 import jaxmarine as jm
 from experiments._study import save_figure, spread, study, write_results
 from jaxmarine._types import DOFS
+from jaxmarine.actuators import Slider
 from jaxmarine.effects import Motion, place
 from jaxmarine.fitting import noise_of
 from jaxmarine.fitting._subnets import train_damping
 from jaxmarine.logs import Kinematics, differentiate
 from jaxmarine.networks import NetworkDamping, RBFDamping, basis_of, grow, rbf_damping
-from jaxmarine.physics import Slider, from_euler
+from jaxmarine.physics import from_euler
 from jaxmarine.simulation import inputs
 from jaxmarine.vehicle_io import suspect_named
 
@@ -106,8 +107,8 @@ HERE = Path(__file__).parent / "sniper"
 def craft(linear: np.ndarray, quadratic: np.ndarray, lift: dict[str, float] | None = None) -> jm.Vehicle:
     """The packaged craft with its sliding mass, the given damping and hull lift (none: of size zero)."""
     vehicle = jm.load_vehicle(jm.packaged_vehicle("minesniper"))
-    slider = Slider(**{name: jnp.asarray(value) for name, value in SLIDER.items()}, name="slider")
-    vehicle = dataclasses.replace(vehicle, slider=slider)
+    slider = Slider(**{name: jnp.asarray(value) for name, value in SLIDER.items()}, names=("slider",))
+    vehicle = dataclasses.replace(vehicle, masses=(slider,))
     damping = (jnp.asarray(linear), jnp.asarray(quadratic))
     vehicle = eqx.tree_at(lambda v: (v.damping.linear, v.damping.quadratic), vehicle, damping)
     suspect = suspect_named(vehicle, "hull_lift", None)

@@ -82,7 +82,7 @@ def _rates(t, y: Float[Array, " numbers"], args: tuple[Plant, Input]):
     plant, drive = args
     # Commands are held; the thrust of a slow thruster changes within the hold, and waves go on.
     thrust = drive.thrust if drive.slope is None else drive.thrust + drive.slope * (t - drive.middle)
-    drive = Input(thrust, drive.command, drive.wrench, t, slide=drive.slide)
+    drive = Input(thrust, drive.command, drive.wrench, t, moving=drive.moving)
     return _flat(plant.rates(_unflat(y), drive))
 
 
@@ -253,13 +253,13 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
     - `commands`: columns as `Vehicle.command_names`.
     """
-    slide = plant.slides(t, commands)
+    moving = plant.moves(t, commands)
     commands = commands[:, : plant.drive.max_thrust.shape[-1]]
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
     push = thrust(drive, t, commands)
     middle = t + 0.5 * step_lengths(t)
-    over = Input(push.mean, commands, wrench, t, push.slope, middle, slide)
-    return over, Input(push.instant, commands, wrench, t, slide=slide)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving)
+    return over, Input(push.instant, commands, wrench, t, moving=moving)
 
 
 @eqx.filter_jit
@@ -267,8 +267,8 @@ def _roll_out(
     vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split, width: int
 ):
     plants = jax.vmap(vehicle.plant)(acting)
-    # The slider is no effect: it is the same in all segments.
-    sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), slider=vehicle.slider)
+    # Masses inside are no effects: they are the same in all segments.
+    sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), masses=vehicle.masses)
     over, at = inputs(sampled, t, commands, wrench)
 
     def step(state, now):

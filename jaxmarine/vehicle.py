@@ -10,6 +10,7 @@ motion stand on `Plant.balance`, the inverse dynamics.
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -32,7 +33,7 @@ from ._types import (
     Wrench,
     width_of,
 )
-from .actuators import AbstractActuators, Flow, Supply, joined
+from .actuators import AbstractActuators, AbstractMasses, Flow, Supply, joined
 from .effects import (
     CATALOGUE,
     AbstractEffect,
@@ -52,8 +53,6 @@ from .effects import (
 from .physics import (
     Drive,
     Load,
-    Slide,
-    Slider,
     apply,
     attitude_rate,
     compose,
@@ -97,8 +96,8 @@ class Input(eqx.Module):
     `thrust` is that of thrusters [N] before inflow loss and, behind them, the state of other actuators:
     shaft speed, angle, deflection.
 
-    Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `slide` is
-    the motion of a sliding mass; None: it rests where the file has it.
+    Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `moving` is
+    the motion of masses inside, one of each kind; None: they rest where the file has them.
     """
 
     thrust: Float[Array, " columns"]
@@ -107,7 +106,7 @@ class Input(eqx.Module):
     t: Float[Array, ""]
     slope: Float[Array, " columns"] | None = None
     middle: Float[Array, ""] | None = None
-    slide: Slide | None = None
+    moving: tuple[Any, ...] | None = None
 
 
 class Body(eqx.Module):
@@ -177,7 +176,7 @@ class Placed(eqx.Module):
 class Vehicle(eqx.Module):
     """A marine vehicle: what its file says, and the effects placed in it.
 
-    - `actuators`: those beside thrusters and slider, kind by kind.
+    - `actuators`: those beside thrusters, kind by kind; `masses`: those that move inside, likewise.
     """
 
     body: Body
@@ -194,8 +193,8 @@ class Vehicle(eqx.Module):
     sensors: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     # How far sections of the file may be off, as shares of their values (keys of its table `[prior]`).
     prior: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
-    slider: Slider | None = None
     actuators: tuple[AbstractActuators, ...] = ()
+    masses: tuple[AbstractMasses, ...] = ()
 
     def __check_init__(self):
         for what, matrix in (
@@ -220,20 +219,19 @@ class Vehicle(eqx.Module):
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """The command columns of a log: the thrusters, other actuators and, last, the sliding mass."""
-        return self.drive_names if self.slider is None else (*self.drive_names, self.slider.name)
+        """The command columns of a log: the thrusters, other actuators and, last, masses inside."""
+        return *self.drive_names, *(name for one in self.masses for name in one.columns)
 
     @property
     def drive_names(self) -> tuple[str, ...]:
-        """The command columns but that of the sliding mass, in the order of `Plant.drive`."""
+        """The command columns but those of masses inside, in the order of `Plant.drive`."""
         return *self.thruster_names, *(name for one in self.actuators for name in one.columns)
 
     @property
     def command_limits(self) -> np.ndarray:
         """The largest command allowed per command column."""
         limits = np.maximum(1.0, np.asarray(self.thrusters.saturation))
-        limits = np.concatenate([limits, *(one.limits for one in self.actuators)])
-        return limits if self.slider is None else np.append(limits, 1.0)
+        return np.concatenate([limits, *(one.limits for one in (*self.actuators, *self.masses))])
 
     @property
     def stated_noise(self) -> Float[np.ndarray, " channels"]:
@@ -316,7 +314,7 @@ class Vehicle(eqx.Module):
             wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
             sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
             free=free,
-            slider=self.slider,
+            masses=self.masses,
             delay=delay,
         )
 
@@ -341,7 +339,7 @@ def _inverse_mass(load: Load, free: Float[Array, "6"]) -> Matrix6:
 class Plant(eqx.Module):
     """A vehicle at one time: constants ready for the equations of motion.
 
-    - `drive`: of all command columns but the sliding mass', the thrusters' first; `direction` and
+    - `drive`: of all command columns but those of masses inside, the thrusters' first; `direction` and
       `allocation` are the thrusters' alone.
     - `current`: velocity of the water [m/s] NED; None where nothing moves it, which spares a fifth of a step.
     - `delay` [s]: of each kind of sensor (`physics.LATE`), for `physics.late`; None where none is suspected.
@@ -358,7 +356,7 @@ class Plant(eqx.Module):
     wrenches: tuple[WrenchEffect, ...]
     sensors: tuple[SensorEffect, ...]
     free: Float[Array, "6"]
-    slider: Slider | None = None
+    masses: tuple[AbstractMasses, ...] = ()
     delay: Float[Array, "kinds"] | None = None
 
     @property
@@ -394,19 +392,29 @@ class Plant(eqx.Module):
         flow = apply(rotation(attitude).T, self.current)
         return (velocity - jnp.concatenate([flow, jnp.zeros(3)])) * self.free
 
-    def slides(self, t: Times, commands: Float[Array, "times columns"]) -> Slide | None:
-        """The motion of the sliding mass over each hold, if there is one; its column is the last."""
-        return None if self.slider is None else self.slider.slides(t, commands[:, -1])
+    def moves(self, t: Times, commands: Float[Array, "times columns"]) -> tuple[Any, ...] | None:
+        """The motion of masses inside over each hold, if there are any; their columns are the last."""
+        if not self.masses:
+            return None
+        first = self.drive.max_thrust.shape[-1]
+        ends = np.cumsum([first, *(len(one.columns) for one in self.masses)]).tolist()
+        parts = [commands[:, begin:end] for begin, end in itertools.pairwise(ends)]
+        return tuple(one.moves(t, part) for one, part in zip(self.masses, parts, strict=True))
+
+    def _moving(self, drive: Input) -> tuple[tuple[AbstractMasses, Any], ...]:
+        """Masses inside with their motion; none where the input has them at rest."""
+        return () if drive.moving is None else tuple(zip(self.masses, drive.moving, strict=True))
 
     def carried(self, drive: Input) -> Load:
-        """What the vehicle carries, with the sliding mass where the input has it."""
-        if self.slider is None or drive.slide is None:
-            return self.load
-        return self.slider.moved(self.load, drive.slide(drive.t)[0])
+        """What the vehicle carries, with the masses inside where the input has them."""
+        load = self.load
+        for one, inside in self._moving(drive):
+            load = one.moved(load, inside, drive.t)
+        return load
 
     def mobility(self, drive: Input) -> Matrix6:
         """The inverse of the mass matrix under the given input, zero on locked axes."""
-        if self.slider is None or drive.slide is None:
+        if not self.masses or drive.moving is None:
             return self.inverse_mass
         return _inverse_mass(self.carried(drive), self.free)
 
@@ -427,8 +435,8 @@ class Plant(eqx.Module):
         `M_RB nu' + C_RB nu + M_A nu_r' + C_A nu_r + D nu_r + g - tau - (wrenches of effects)`, zero on
         the free axes where `nu_dot` is the acceleration of this vehicle. After Fossen (2021), with
         `nu_r' = nu' + (w x R' v_c, 0)` for a current that is steady in earth axes. The Coriolis term
-        of the added mass uses the symmetric part of its matrix, which alone has kinetic energy. A sliding
-        mass adds `V nu + b` (`Slider.reaction`), and M_RB and g have it where it is.
+        of the added mass uses the symmetric part of its matrix, which alone has kinetic energy. Masses that
+        move inside add their `reaction`, and M_RB and g have them where they are.
         """
         load = self.carried(drive)
         motion = self._motion(state, drive)
@@ -446,8 +454,8 @@ class Plant(eqx.Module):
             - self.pushed(drive.thrust, motion.nu_r, state.velocity, motion.rotation)
             - drive.wrench
         )
-        if self.slider is not None and drive.slide is not None:
-            out = out + self.slider.reaction(drive.slide(drive.t), state.velocity)
+        for one, inside in self._moving(drive):
+            out = out + one.reaction(inside, drive.t, state.velocity)
         begin = 0
         for effect in self.wrenches:
             if isinstance(effect, FluidMemory):
@@ -571,12 +579,12 @@ def forward_dynamics(vehicle: Vehicle, state: State, drive: Input) -> Velocity:
 
 
 def inverse_dynamics(
-    vehicle: Vehicle, state: State, nu_dot: Velocity, t=0.0, slide: Slide | None = None
+    vehicle: Vehicle, state: State, nu_dot: Velocity, t=0.0, moving: tuple[Any, ...] | None = None
 ) -> Wrench:
     """The control wrench at `o` [N, N m] that gives the acceleration `nu_dot`, for feedforward control.
 
-    - `slide`: motion of a sliding mass; None: it rests where the file has it.
+    - `moving`: motion of masses inside, as in `Input`; None: they rest where the file has them.
     """
     count = len(vehicle.drive_names)
-    nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float), slide=slide)
+    nothing = Input(jnp.zeros(count), jnp.zeros(count), jnp.zeros(6), jnp.asarray(t, float), moving=moving)
     return vehicle.plant().balance(state, nu_dot, nothing)

@@ -22,7 +22,7 @@ from ._errors import InputError
 from ._files import did_you_mean, read_toml, validated, written_whole
 from ._tables import Number, Rows3, Rows6, Table, Triple, finite, unit_direction, usable_name
 from ._types import DOFS, TABLE
-from .actuators import KINDS, AbstractActuators, Supply, Swivels
+from .actuators import KINDS, AbstractActuators, AbstractKind, AbstractMasses, Supply, Swivels
 
 # Published inertia matrices are printed to a few digits.
 _SYMMETRY = 1e-6
@@ -138,22 +138,6 @@ class Thruster(Table):
         return None if swivel is None else unit_direction(swivel)
 
 
-class Slider(Table):
-    """A mass that slides in the vehicle, with a command column of its name."""
-
-    name: str = Field(description="the name of the slider's command column, in quotes")
-    mass: Number = Field(gt=0, description="a positive number [kg], part of the body's mass")
-    position: Triple = Field(
-        description="[x, y, z] from `o` at command 0, where the body's masses have it [m]"
-    )
-    direction: Triple = Field(description="[x, y, z], not zero: where a positive command moves it")
-    travel: Number = Field(gt=0, description="a positive number, the way at command 1 [m]")
-    time_constant: Number = Field(gt=0, description="a positive number, of its critically damped servo [s]")
-
-    _usable_name = pydantic.field_validator("name")(usable_name)
-    _unit_direction = pydantic.field_validator("direction")(unit_direction)
-
-
 class _Sensors(Table):
     """Standard deviations of white noise; what is absent is estimated from the log."""
 
@@ -253,7 +237,7 @@ class _VehicleFile(Table):
     Actuators beside thrusters have tables `[[key]]` by their kind: see `file_model`.
     """
 
-    kinds: ClassVar[tuple[type[AbstractActuators], ...]] = ()
+    kinds: ClassVar[tuple[type[AbstractKind], ...]] = ()
 
     schema_version: int = Field(alias="schema", strict=True, description="1")
     name: str = Field(min_length=1, description="the vehicle's name, in quotes")
@@ -265,7 +249,6 @@ class _VehicleFile(Table):
     added_mass: AddedMass = Field(description="a table [added_mass] with matrix")
     damping: Damping = Field(description="a table [damping] with linear and quadratic")
     thruster: tuple[Thruster, ...] = Field(default=(), description="tables [[thruster]]")
-    slider: Slider | None = Field(default=None, description="a table [slider]")
     sensors: Sensors = Field(default=Sensors(), description="a table [sensors]")
     prior: Prior = Field(default=Prior(), description="a table [prior]")
     effect: tuple[EffectEntry, ...] = Field(default=(), description="tables [[effect]]")
@@ -322,20 +305,16 @@ class _VehicleFile(Table):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _carries_its_slider(self) -> "_VehicleFile":
-        if self.slider is None:
-            return self
-        if self.slider.name in self.thruster_names:
-            raise ValueError(f"`slider.name` is `{self.slider.name}`, as a thruster's is; choose another.")
-        if self.slider.name in self.drive_names:
-            raise ValueError(
-                f"`slider.name` is `{self.slider.name}`, as another actuator's is; choose another."
-            )
-        if self.slider.mass >= self.body.mass:
-            raise ValueError(
-                f"`slider.mass` is {self.slider.mass:g} kg, but must be below `body.mass`, "
-                f"{self.body.mass:g} kg, which it is part of."
-            )
+    def _goes_with_its_kinds(self) -> "_VehicleFile":
+        names = list(self.drive_names)
+        for one in self.masses:
+            for name in one.columns:
+                if name in names:
+                    whose = "a thruster's" if name in self.thruster_names else "another actuator's"
+                    raise ValueError(f"`{one.key}.name` is `{name}`, as {whose} is; choose another.")
+            names += one.columns
+        for kind in self.kinds:
+            kind.check(self._tables_of(kind), self.body.mass)
         return self
 
     @pydantic.model_validator(mode="after")
@@ -372,28 +351,41 @@ class _VehicleFile(Table):
             out.append(Swivels.of(self.thruster))
         if any(one.nominal_voltage is not None for one in self.thruster):
             out.append(Supply.of(self.thruster))
-        for kind in self.kinds:
-            those = getattr(self, kind.key)
-            if those:
-                out.append(kind.of([those] if kind.single else those))
+        out += [one for one in self._made if isinstance(one, AbstractActuators)]
         return tuple(out)
 
     @property
+    def masses(self) -> tuple[AbstractMasses, ...]:
+        """Those that move inside, kind by kind."""
+        return tuple(one for one in self._made if isinstance(one, AbstractMasses))
+
+    def _tables_of(self, kind: type[AbstractKind]) -> tuple[Any, ...]:
+        those = getattr(self, kind.key)
+        if not kind.single:
+            return those
+        return () if those is None else (those,)
+
+    @property
+    def _made(self) -> list[AbstractKind]:
+        tables = [(kind, self._tables_of(kind)) for kind in self.kinds]
+        return [kind.of(those) for kind, those in tables if those]
+
+    @property
     def drive_names(self) -> tuple[str, ...]:
-        """Names of the command columns of thrusters and, behind them, of other actuators but the slider."""
+        """Names of the command columns of thrusters and, behind them, of other actuators."""
         return *self.thruster_names, *(name for one in self.actuators for name in one.columns)
 
     @property
     def command_names(self) -> tuple[str, ...]:
-        """Names of all command columns: the thrusters, other actuators and, last, the slider."""
-        return self.drive_names if self.slider is None else (*self.drive_names, self.slider.name)
+        """Names of all command columns: the thrusters, other actuators and, last, masses inside."""
+        return *self.drive_names, *(name for one in self.masses for name in one.columns)
 
     @property
     def command_limits(self) -> Float[np.ndarray, " columns"]:
         """The largest |command| that a log may hold: a saturation above 1 widens [-1, 1]."""
         limits = [max(1.0, thruster.saturation) for thruster in self.thruster]
-        limits += [limit for one in self.actuators for limit in one.limits]
-        return np.array(limits if self.slider is None else [*limits, 1.0], float)
+        limits += [limit for one in (*self.actuators, *self.masses) for limit in one.limits]
+        return np.array(limits, float)
 
     @property
     def weight(self) -> float:
@@ -439,7 +431,7 @@ def rigid_body(
 
 
 @functools.cache
-def file_model(kinds: tuple[type[AbstractActuators], ...]) -> type["_VehicleFile"]:
+def file_model(kinds: tuple[type[AbstractKind], ...]) -> type["_VehicleFile"]:
     """The vehicle file with tables of these kinds of actuators."""
     fields: dict[str, Any] = {
         kind.key: (kind.table | None, Field(default=None, description=f"a table [{kind.key}]"))
@@ -464,13 +456,13 @@ CheckEffect = Callable[[EffectEntry, VehicleFile], None]
 def read_vehicle_file(
     path: str | os.PathLike[str],
     check_effect: CheckEffect | None = None,
-    kinds: tuple[type[AbstractActuators], ...] = KINDS,
+    kinds: tuple[type[AbstractKind], ...] = KINDS,
 ) -> VehicleFile:
     """Read and check a vehicle file; raises `InputError` with one sentence.
 
     - `check_effect` raises a `ValueError` for an effect that it does not know; its message continues
       a sentence that begins with the entry, such as "names no known effect".
-    - `kinds`: of actuators, beside thrusters and slider, that may have tables.
+    - `kinds`: of actuators, beside thrusters, that may have tables.
     """
     file = validated(file_model(kinds), read_toml(path), str(path))
     for number, entry in enumerate(file.effect, start=1):

@@ -1,6 +1,5 @@
 """Vehicles in files: TOML read into a `Vehicle` and written back, learned terms beside it."""
 
-import dataclasses
 import os
 import zipfile
 import zlib
@@ -12,10 +11,9 @@ import numpy as np
 
 from ._errors import InputError
 from ._files import did_you_mean, file_to_hold, validated, written_whole
-from .actuators import KINDS, AbstractActuators, Supply, Swivels
+from .actuators import KINDS, AbstractKind, Supply, Swivels
 from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
-from .physics import Slider
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import (
     EffectEntry,
@@ -25,7 +23,6 @@ from .vehicle_file import (
     rigid_body,
     write_vehicle_file,
 )
-from .vehicle_file import Slider as SliderTable
 
 # Numbers of a thruster beside its place.
 _OF_THRUSTER = ("max_thrust", "max_thrust_reverse", "quadratic", "deadband", "lag", "delay", "saturation")
@@ -154,22 +151,15 @@ def _vehicle(file: VehicleFile) -> Vehicle:
         thruster_names=file.thruster_names,
         sensors=tuple(file.sensors.stated().items()),
         prior=tuple(file.prior.stated().items()),
-        slider=None if file.slider is None else _slider(file.slider),
         actuators=file.actuators,
-    )
-
-
-def _slider(table: SliderTable) -> Slider:
-    numbers = table.model_dump(exclude={"name"})
-    return Slider(
-        **{name: jnp.asarray(np.array(value, float)) for name, value in numbers.items()}, name=table.name
+        masses=file.masses,
     )
 
 
 def load_vehicle(
     path: str | os.PathLike[str],
     catalogue: tuple[type[AbstractEffect], ...] = CATALOGUE,
-    kinds: tuple[type[AbstractActuators], ...] = KINDS,
+    kinds: tuple[type[AbstractKind], ...] = KINDS,
 ) -> Vehicle:
     """Reads a vehicle file with its effects; raises `InputError` with one sentence.
 
@@ -252,7 +242,7 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
     mass, inertia = float(body.mass), matrix[3:, 3:]
     # Where mass, inertia and cog say it all, a reader who edits them is to change the vehicle.
     told = np.array_equal(matrix, rigid_body(mass, inertia, cog))
-    others = [one for one in vehicle.actuators if not isinstance(one, Swivels | Supply)]
+    others = [one for one in (*vehicle.actuators, *vehicle.masses) if not isinstance(one, Swivels | Supply)]
     supply = next((one for one in vehicle.actuators if isinstance(one, Supply)), None)
     kinds = tuple(dict.fromkeys((*KINDS, *map(type, others))))
     axes = {
@@ -293,7 +283,6 @@ def save_vehicle(vehicle: Vehicle, path: str | os.PathLike[str]) -> None:
                 }
                 for i, name in enumerate(vehicle.thruster_names)
             ],
-            "slider": None if vehicle.slider is None else _slider_table(vehicle.slider),
             "sensors": dict(vehicle.sensors),
             "prior": dict(vehicle.prior),
             "effect": entries,
@@ -310,12 +299,6 @@ def _thruster_numbers(thrusters: Thrusters, i: int) -> dict[str, float]:
     if numbers["max_thrust_reverse"] in (0.0, numbers["max_thrust"]):
         del numbers["max_thrust_reverse"]
     return numbers
-
-
-def _slider_table(slider: Slider) -> dict:
-    numbers = {field.name: getattr(slider, field.name) for field in dataclasses.fields(slider)}
-    name = numbers.pop("name")
-    return {"name": name} | {key: np.asarray(value).tolist() for key, value in numbers.items()}
 
 
 def packaged_vehicle(name: str) -> Path:

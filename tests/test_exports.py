@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
+from jaxmarine.actuators import Slider
 from jaxmarine.cli import app
 from jaxmarine.effects import (
     CATALOGUE,
@@ -41,7 +42,6 @@ from jaxmarine.exports import FORMATS, export
 from jaxmarine.exports.casadi import functions
 from jaxmarine.logs import Log
 from jaxmarine.networks import learned_thrust, learned_wrench, mlp_damping, rbf_damping
-from jaxmarine.physics import Slider
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Vehicle
 from jaxmarine.vehicle_io import packaged_vehicle
@@ -74,9 +74,9 @@ def sliding() -> Vehicle:
     """The same with a mass that slides fore and aft."""
     ahead = jnp.array([1.0, 0.0, 0.0])
     slider = Slider(
-        jnp.asarray(4.0), 0.1 * ahead, ahead, jnp.asarray(0.3), jnp.asarray(0.5), name="trim_mass"
+        jnp.asarray(4.0), 0.1 * ahead, ahead, jnp.asarray(0.3), jnp.asarray(0.5), names=("trim_mass",)
     )
-    return dataclasses.replace(remembering(), slider=slider)
+    return dataclasses.replace(remembering(), masses=(slider,))
 
 
 @functools.cache

@@ -11,8 +11,10 @@ import scipy.integrate
 
 import jaxmarine as jm
 from jaxmarine._errors import InputError
+from jaxmarine.actuators import KINDS, Slide, Slider
 from jaxmarine.fitting import Affine, Problem, cut, linearise, predict, start_precision
-from jaxmarine.physics import Slide, Slider, rotation
+from jaxmarine.fitting._free import set_free
+from jaxmarine.physics import rotation
 from jaxmarine.simulation import substeps
 from jaxmarine.vehicle import Input, inverse_dynamics
 from tests.crafts import brick, packaged
@@ -23,7 +25,7 @@ SLIDER = Slider(
     direction=jnp.array([0.6, 0.0, 0.8]),
     travel=jnp.asarray(0.2),
     time_constant=jnp.asarray(0.3),
-    name="slider",
+    names=("slider",),
 )
 
 
@@ -37,7 +39,7 @@ def in_vacuum(mass: float = 10.0) -> jm.Vehicle:
     lever = mass * np.cross(cog, np.eye(3)).T  # m S(cog)
     matrix = np.block([[mass * np.eye(3), -lever], [lever, np.asarray(inertia)]])
     body = dataclasses.replace(vehicle.body, matrix=jnp.asarray(matrix))
-    return dataclasses.replace(vehicle, body=body, gravity=jnp.asarray(0.0), slider=SLIDER)
+    return dataclasses.replace(vehicle, body=body, gravity=jnp.asarray(0.0), masses=(SLIDER,))
 
 
 def momenta(vehicle: jm.Vehicle, nu, offset, rate) -> np.ndarray:
@@ -77,10 +79,10 @@ def test_the_wrench_is_the_change_of_the_two_bodies_momenta():
         moment = change[3:] + np.cross(nu[3:], h) + np.cross(nu[:3], p)
         nu_dot = (moving(t + step) - moving(t - step)) / (2 * step)
         state = jm.initial_state(vehicle, velocity=nu)
-        wrench = inverse_dynamics(vehicle, state, jnp.asarray(nu_dot), t, slide)
+        wrench = inverse_dynamics(vehicle, state, jnp.asarray(nu_dot), t, (slide,))
         worst = max(worst, np.abs(np.concatenate([force, moment]) - wrench).max())
         # The slider's own share is there to be seen: without V and b the error would be this large.
-        share = SLIDER.reaction(slide(jnp.asarray(t)), jnp.asarray(nu))
+        share = SLIDER.reaction(slide, jnp.asarray(t), jnp.asarray(nu))
         assert np.abs(share).max() > 0.3
     assert worst < 1e-6  # differences of step 1e-5 leave 1e-8
 
@@ -89,8 +91,8 @@ def test_forward_dynamics_inverts_them():
     vehicle = in_vacuum()
     slide = Slide(*map(jnp.asarray, (0.05, 0.3, -0.2, 1.0, 0.3)))
     state, nu_dot = jm.initial_state(vehicle, velocity=moving(0.3)), jnp.asarray(moving(2.0))
-    wrench = inverse_dynamics(vehicle, state, nu_dot, 1.3, slide)
-    drive = Input(jnp.zeros(0), jnp.zeros(0), wrench, jnp.asarray(1.3), slide=slide)
+    wrench = inverse_dynamics(vehicle, state, nu_dot, 1.3, (slide,))
+    drive = Input(jnp.zeros(0), jnp.zeros(0), wrench, jnp.asarray(1.3), moving=(slide,))
     assert np.allclose(jm.forward_dynamics(vehicle, state, drive), nu_dot, rtol=0, atol=1e-12)
 
 
@@ -103,7 +105,7 @@ def test_a_free_body_keeps_its_momentum_while_the_mass_slides():
     start = jm.initial_state(vehicle, velocity=0.3 * moving(0.5))
     log = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, vehicle.command_names, "log")
     states = jm.simulate(vehicle, log, start).states
-    slides = SLIDER.slides(jnp.asarray(t), jnp.asarray(commands[:, 0]))
+    slides = SLIDER.moves(jnp.asarray(t), jnp.asarray(commands))
     offsets, rates, _ = jax.vmap(lambda s: s(s.since))(slides)
     assert np.ptp(offsets) > 0.3  # it goes from end to end
 
@@ -123,7 +125,7 @@ def test_a_free_body_keeps_its_momentum_while_the_mass_slides():
 def test_the_servo_is_a_critically_damped_second_order_lag():
     t = np.arange(0.0, 3.0, 0.2)
     commands = np.where(t < 1.0, 0.0, np.where(t < 2.0, 1.0, -0.5))
-    slides = SLIDER.slides(jnp.asarray(t), jnp.asarray(commands))
+    slides = SLIDER.moves(jnp.asarray(t), jnp.asarray(commands)[:, None])
     travel, pace = 0.2, 1 / 0.3
 
     def rates(_, x, goal):
@@ -139,7 +141,7 @@ def test_the_servo_is_a_critically_damped_second_order_lag():
 
 
 def minesniper() -> jm.Vehicle:
-    return dataclasses.replace(packaged("minesniper"), slider=SLIDER)
+    return dataclasses.replace(packaged("minesniper"), masses=(SLIDER,))
 
 
 def at_rest(goal: float) -> Slide:
@@ -150,7 +152,7 @@ def test_a_slider_at_rest_changes_nothing():
     """At command 0 the vehicle is that of the file without a slider, in forward and inverse dynamics."""
     vehicle, plain = minesniper(), packaged("minesniper")
     state = jm.initial_state(vehicle, attitude=(0.3, -0.5, 1.0), velocity=moving(0.2))
-    drive = Input(jnp.ones(3), jnp.ones(3), jnp.ones(6), jnp.asarray(2.0), slide=at_rest(0.0))
+    drive = Input(jnp.ones(3), jnp.ones(3), jnp.ones(6), jnp.asarray(2.0), moving=(at_rest(0.0),))
     without = Input(jnp.ones(3), jnp.ones(3), jnp.ones(6), jnp.asarray(2.0))
     expected = jm.forward_dynamics(plain, state, without)
     assert np.allclose(jm.forward_dynamics(vehicle, state, drive), expected, rtol=1e-11, atol=1e-11)
@@ -159,13 +161,13 @@ def test_a_slider_at_rest_changes_nothing():
 
 def test_a_mass_slid_forward_holds_the_bow_down_at_the_angle_of_its_moment():
     rail = dataclasses.replace(SLIDER, direction=jnp.array([1.0, 0.0, 0.0]))
-    vehicle = dataclasses.replace(minesniper(), slider=rail)
+    vehicle = dataclasses.replace(minesniper(), masses=(rail,))
     # m_b g s cos(theta) + W z_g sin(theta) = 0
     angle = np.arctan(-1.7 * 9.81 * 0.1 / (392.4 * 0.025))
     state = jm.initial_state(vehicle, attitude=(0, angle, 0.7))
-    still = inverse_dynamics(vehicle, state, jnp.zeros(6), 1.0, at_rest(0.1))
+    still = inverse_dynamics(vehicle, state, jnp.zeros(6), 1.0, (at_rest(0.1),))
     assert np.abs(still).max() < 1e-12
-    level = inverse_dynamics(vehicle, jm.initial_state(vehicle), jnp.zeros(6), 1.0, at_rest(0.1))
+    level = inverse_dynamics(vehicle, jm.initial_state(vehicle), jnp.zeros(6), 1.0, (at_rest(0.1),))
     assert level[4] == pytest.approx(1.7 * 9.81 * 0.1)  # it takes a moment bow up to stay level
 
 
@@ -230,7 +232,8 @@ def test_the_table_is_read_written_and_has_a_column(tmp_path):
     text = jm.packaged_vehicle("minesniper").read_text()
     (tmp_path / "a.toml").write_text(text + TABLE)
     vehicle = jm.load_vehicle(tmp_path / "a.toml")
-    assert vehicle.slider is not None and np.array_equal(vehicle.slider.direction, [1.0, 0.0, 0.0])
+    (slider,) = vehicle.masses
+    assert np.array_equal(slider.direction, [1.0, 0.0, 0.0])
     jm.save_vehicle(vehicle, tmp_path / "b.toml")
     again = jm.load_vehicle(tmp_path / "b.toml")
     assert all(
@@ -266,3 +269,50 @@ def test_a_slider_that_cannot_be_is_refused(tmp_path, old, new, message):
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(InputError, match=message):
         jm.load_vehicle(tmp_path / "a.toml")
+
+
+class Twin(Slider):
+    """A second sliding mass, as somebody else's kind."""
+
+    key = "twin"
+    title = "Second sliding mass"
+
+
+def test_a_kind_of_masses_of_ones_own_is_read_and_moves(tmp_path):
+    text = jm.packaged_vehicle("minesniper").read_text() + '[[effect]]\neffect = "hull_lift"\nY_uv = 5.0\n'
+    half = TABLE.replace("1.7", "0.85")
+    (tmp_path / "one.toml").write_text(text + TABLE)
+    (tmp_path / "two.toml").write_text(text + half + half.replace("slider", "twin"))
+    kinds = (*KINDS, Twin)
+    one, two = jm.load_vehicle(tmp_path / "one.toml"), jm.load_vehicle(tmp_path / "two.toml", kinds=kinds)
+    assert two.command_names == ("star", "port", "vertical", "slider", "twin")
+    assert two.command_limits.tolist() == [1.0] * 5
+    jm.save_vehicle(two, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml", kinds=kinds)
+    assert jax.tree.structure(two) == jax.tree.structure(again)
+    with pytest.raises(InputError, match="as another actuator's is"):
+        (tmp_path / "same.toml").write_text(text + half + half.replace("[slider]", "[twin]"))
+        jm.load_vehicle(tmp_path / "same.toml", kinds=kinds)
+    # Two halves that move alike are one mass.
+    t = np.arange(0.0, 8.0, 0.1)
+    commands = np.zeros((len(t), 4))
+    commands[:, 3] = np.where(t < 2.0, 0.0, np.where(t < 5.0, 1.0, -0.6))
+    commands[:, 0] = 0.3
+    tracks = []
+    for craft, columns in ((one, commands), (two, commands[:, [0, 1, 2, 3, 3]])):
+        log = jm.Log(t, np.full((len(t), 18), np.nan), columns, None, craft.command_names, "log")
+        tracks.append(np.asarray(jm.simulate(craft, log, jm.initial_state(craft)).channels))
+    assert np.abs(tracks[0][:, 4]).max() > 0.05  # it pitches
+    np.testing.assert_allclose(tracks[1], tracks[0], rtol=0, atol=1e-10)
+    # One that moves alone is not.
+    lone = jm.Log(
+        t, log.channels, np.append(commands, np.zeros((len(t), 1)), 1), None, two.command_names, "log"
+    )
+    track = np.asarray(jm.simulate(two, lone, jm.initial_state(two)).channels)
+    assert np.abs(track - tracks[0])[:, 4].max() > 0.01
+
+
+def test_what_is_fitted_of_a_slider_has_its_name():
+    craft = minesniper()
+    freed, _ = set_free(craft, lambda v: (v.masses[0].mass, v.masses[0].direction))
+    assert freed.names == ("slider.mass", *(f"slider.direction[{i}]" for i in range(3)))

@@ -6,6 +6,8 @@ that `load_vehicle(..., kinds=(*KINDS, Yours))` is told of.
 """
 
 from ._base import AbstractActuators as AbstractActuators
+from ._base import AbstractKind as AbstractKind
+from ._base import AbstractMasses as AbstractMasses
 from ._base import Flow as Flow
 from ._base import Stream as Stream
 from ._base import along as along
@@ -17,17 +19,20 @@ from ._cross_damping import CrossDamping as CrossDamping
 from ._cross_flow import CrossFlow as CrossFlow
 from ._hull_polynomial import HullPolynomial as HullPolynomial
 from ._propeller import Propellers as Propellers
+from ._slider import Slide as Slide
+from ._slider import Slider as Slider
 from ._supply import Supply as Supply
 from ._surface import FREE as FREE
 from ._surface import Surfaces as Surfaces
 from ._swivel import Swivels as Swivels
 from ._wind import Wind as Wind
 
-KINDS: tuple[type[AbstractActuators], ...] = (
+KINDS: tuple[type[AbstractKind], ...] = (
     Propellers,
     Surfaces,
     CrossFlow,
     CrossDamping,
     HullPolynomial,
     Wind,
+    Slider,
 )

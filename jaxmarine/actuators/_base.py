@@ -4,6 +4,7 @@ It has two halves. What a command makes of the actuator's own state (delay, lag,
 known from the log alone, before any motion is simulated: `servo` gives the constants of that. What force the
 state gives in the flow (`wrench`) stands inside the equations of motion, which differentiate it. All
 actuators of one kind in a vehicle are one module, with an entry each along the first axis of its arrays.
+Masses that move inside have the same two halves (`AbstractMasses`).
 """
 
 import abc
@@ -11,13 +12,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._tables import Table
-from .._types import Matrix3, Scalar, Velocity, Wrench
-from ..physics import UNLIMITED, Curve, Drive
+from .._types import Matrix3, Scalar, Times, Velocity, Wrench
+from ..physics import UNLIMITED, Curve, Drive, Load, step_lengths
 
 
 class Stream(eqx.Module):
@@ -49,10 +51,10 @@ class Flow(eqx.Module):
     streams: dict[str, Stream]
 
 
-class AbstractActuators(eqx.Module):
-    """All actuators of one kind; see the module's text.
+class AbstractKind(eqx.Module):
+    """All of one kind that commands move, in a vehicle: their table, their columns.
 
-    - `names`: of the actuators; `delay`, `lag` [s]: of each.
+    - `names`: of the single ones.
     """
 
     key: ClassVar[str]  # of their tables [[key]] in a vehicle file
@@ -62,8 +64,6 @@ class AbstractActuators(eqx.Module):
     table: ClassVar[type[Table]]  # what such a table may say
 
     names: eqx.AbstractVar[tuple[str, ...]]
-    delay: eqx.AbstractVar[Float[Array, " actuators"]]
-    lag: eqx.AbstractVar[Float[Array, " actuators"]]
 
     @classmethod
     @abc.abstractmethod
@@ -73,6 +73,11 @@ class AbstractActuators(eqx.Module):
     @abc.abstractmethod
     def tables(self) -> list[dict[str, Any]]:
         """The tables from which `of` makes the same."""
+
+    @classmethod
+    def check(cls, tables: Sequence[Any], mass: float) -> None:
+        """Raises `ValueError` where tables do not go with a body of this mass [kg]."""
+        del tables, mass
 
     @property
     @abc.abstractmethod
@@ -88,6 +93,16 @@ class AbstractActuators(eqx.Module):
     @abc.abstractmethod
     def usual(self) -> Float[np.ndarray, "columns 2"]:
         """Between which commands an operator who tries the vehicle out moves each column."""
+
+
+class AbstractActuators(AbstractKind):
+    """All actuators of one kind, which push in the flow; see the module's text.
+
+    - `delay`, `lag` [s]: of each.
+    """
+
+    delay: eqx.AbstractVar[Float[Array, " actuators"]]
+    lag: eqx.AbstractVar[Float[Array, " actuators"]]
 
     def typical(self, braking: Float[np.ndarray, "6"]) -> Mapping[str, np.ndarray]:
         """How large the numbers of some fields commonly are that may be zero in a file, by the field.
@@ -108,6 +123,59 @@ class AbstractActuators(eqx.Module):
     @abc.abstractmethod
     def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
         """The wrench on the hull at `o`, body axes [N, N m]."""
+
+
+class AbstractMasses(AbstractKind):
+    """All masses of one kind that commands move inside the vehicle.
+
+    How they move is known from the log alone: `held` gives it over a hold, as any module of arrays. Where
+    they then are changes what the vehicle carries (`moved`), and that they move pushes back (`reaction`).
+    Their columns come last in a log, and are none of `Plant.drive`.
+    """
+
+    @property
+    @abc.abstractmethod
+    def settled(self) -> float:
+        """Time after which what they were told before no longer shows [s]."""
+
+    @property
+    @abc.abstractmethod
+    def state_names(self) -> tuple[str, ...]:
+        """What each number of their state is."""
+
+    @abc.abstractmethod
+    def rest(self, command: Float[Array, " columns"]) -> Float[Array, " state"]:
+        """Their state where a command has acted long."""
+
+    @abc.abstractmethod
+    def held(self, state: Float[Array, " state"], command: Float[Array, " columns"], t: Scalar) -> Any:
+        """How they move from a state at `t` [s] on under a command that is held."""
+
+    @abc.abstractmethod
+    def state(self, motion: Any, t: Scalar) -> Float[Array, " state"]:
+        """Their state at a time [s] of that motion."""
+
+    @abc.abstractmethod
+    def rates(self, motion: Any, t: Scalar) -> Float[Array, " state"]:
+        """The time derivative of their state."""
+
+    @abc.abstractmethod
+    def moved(self, load: Load, motion: Any, t: Scalar) -> Load:
+        """What is carried, which the file has with them at command 0, with them where they are."""
+
+    @abc.abstractmethod
+    def reaction(self, motion: Any, t: Scalar, nu: Velocity) -> Wrench:
+        """What their motion takes beside that, at `o` on the left-hand side, body axes [N, N m]."""
+
+    def moves(self, t: Times, commands: Float[Array, "times columns"]) -> Any:
+        """Their motion over each hold, one row per sample; at rest at the first command before that."""
+
+        def hold(state, now):
+            command, begin, dt = now
+            motion = self.held(state, command, begin)
+            return self.state(motion, begin + dt), motion
+
+        return jax.lax.scan(hold, self.rest(commands[0]), (commands, t, step_lengths(t)))[1]
 
 
 def servo(

@@ -383,14 +383,12 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
 def _ranges(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each command column, and how far a plan goes from it, in the column's unit.
 
-    Thrusters and a sliding mass over all their commands, other actuators as their `usual` ones. What is
+    Thrusters over all their commands, other actuators and masses inside as their `usual` ones. What is
     logged but nobody commands, wind and battery, stays in its middle.
     """
     count = len(vehicle.thruster_names)
     low, high = -np.ones(count), np.ones(count)
-    for one in vehicle.actuators:
+    for one in (*vehicle.actuators, *vehicle.masses):
         ends = one.usual if one.commanded else np.repeat(one.usual.mean(axis=1, keepdims=True), 2, axis=1)
         low, high = np.append(low, ends[:, 0]), np.append(high, ends[:, 1])
-    if vehicle.slider is not None:
-        low, high = np.append(low, -1.0), np.append(high, 1.0)
     return 0.5 * (low + high), 0.5 * (high - low)

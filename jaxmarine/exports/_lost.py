@@ -25,11 +25,12 @@ def always(vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(out)
 
 
-def slider(vehicle: Vehicle) -> tuple[str, ...]:
-    """Of targets that have no sliding mass."""
-    if vehicle.slider is None:
-        return ()
-    return (f"The sliding mass `{vehicle.slider.name}` rests where the file has it and has no command.",)
+def masses(vehicle: Vehicle) -> tuple[str, ...]:
+    """Of targets in which no masses move."""
+    return tuple(
+        f"The {one.title.lower()} {named(one.names)} rests where the file has it and has no command."
+        for one in vehicle.masses
+    )
 
 
 def lag(vehicle: Vehicle) -> tuple[str, ...]:

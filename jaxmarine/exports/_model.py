@@ -1,12 +1,15 @@
 """The equations of a vehicle as functions of plain vectors, from which targets that take code are made.
 
-    state = (x y z, quaternion w x y z, u v w p q r, memory, slow actuators, offset and rate of the slider)
+    state = (x y z, quaternion w x y z, u v w p q r, memory, slow actuators, masses inside)
 
 Positions are north-east-down [m], the rest body axes at `o`, SI units and radians. `memory` is the velocity
 through the water as fluid memory lags it (6 numbers for each, or none); slow actuators are those with a lag
-or a limited rate, in thrust [N], shaft speed [rev/s] or angle [rad]. All effects act, from the beginning;
-sensors show what is.
+or a limited rate, in thrust [N], shaft speed [rev/s] or angle [rad]; masses inside have what their kind says,
+such as an offset [m] and its rate [m/s]. All effects act, from the beginning; sensors show what is.
 """
+
+import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY, Scalar, Vector3, Velocity, Wrench
-from ..physics import UNLIMITED, Asked, Late, Slide, from_euler, to_euler
+from ..actuators import AbstractMasses
+from ..physics import UNLIMITED, Asked, Late, from_euler, to_euler
 from ..simulation import hold, substeps
 from ..vehicle import Input, Plant, State, Vehicle
 
@@ -29,7 +33,7 @@ SHOWN = POSITION + ATTITUDE + VELOCITY + RATE
 class Model(eqx.Module):
     """A vehicle with all its constants summed, so that no target has to invert its mass matrix.
 
-    - `slides`: whether the sliding mass moves; else it rests where the file has it.
+    - `moves`: whether masses inside move; else they rest where the file has them.
     """
 
     plant: Plant
@@ -39,17 +43,17 @@ class Model(eqx.Module):
     longest_step: float = eqx.field(static=True)
 
     @classmethod
-    def of(cls, vehicle: Vehicle, slides: bool = True) -> "Model":
+    def of(cls, vehicle: Vehicle, moves: bool = True) -> "Model":
         plant = vehicle.plant()
-        if not slides and plant.slider is not None:
-            plant = eqx.tree_at(lambda p: p.slider, plant, None)
+        if not moves:
+            plant = dataclasses.replace(plant, masses=())
         drive = plant.drive
         slow = np.asarray(drive.lag) > 0.0
         if drive.rate is not None:
             slow = slow | (np.asarray(drive.rate) < UNLIMITED)
         return cls(
             plant=plant,
-            command_names=vehicle.command_names if slides else vehicle.drive_names,
+            command_names=vehicle.command_names if moves else vehicle.drive_names,
             columns=vehicle.drive_names,
             slow=tuple(np.flatnonzero(slow).tolist()),
             # The step below which `simulate` cuts no hold in two.
@@ -65,20 +69,15 @@ class Model(eqx.Module):
             for name in VELOCITY + RATE
         )
         slow = tuple(f"actual_{self.columns[i]}" for i in self.slow)
-        slider = (
-            ()
-            if self.plant.slider is None
-            else tuple(f"{self.plant.slider.name}_{one}" for one in ("offset", "rate"))
-        )
-        return (*POSITION, "q_w", "q_x", "q_y", "q_z", *VELOCITY, *RATE, *memory, *slow, *slider)
+        masses = tuple(name for one in self.plant.masses for name in one.state_names)
+        return (*POSITION, "q_w", "q_x", "q_y", "q_z", *VELOCITY, *RATE, *memory, *slow, *masses)
 
     def start(self, position: Vector3, attitude: Vector3, velocity: Velocity, command: Command) -> Flat:
         """The state at a position [m], roll, pitch, yaw [rad] and velocity; the command has acted long."""
         memory = jnp.zeros(6 * len(self.plant.memories))
         slow = self.asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
         parts = [position, from_euler(attitude), velocity, memory, slow]
-        if self.plant.slider is not None:
-            parts.append(jnp.stack([self.plant.slider.travel * command[-1], jnp.zeros(())]))
+        parts += [one.rest(own) for one, own in self._told(command)]
         return jnp.concatenate(parts)
 
     def step(self, state: Flat, command: Command, wrench: Wrench, t: Scalar, dt: Scalar) -> Flat:
@@ -86,28 +85,27 @@ class Model(eqx.Module):
 
         `dt` is at most `longest_step`; a longer hold is cut in parts.
         """
-        now, slow, slid = self._parts(state)
+        now, slow, masses = self._parts(state)
         asked = self.asked(command, dt)
         before = self._filled(asked.goal[0], slow)[None]
         push = asked.thrust(before)
-        slide = None if self.plant.slider is None else self._slide(slid, command, t)
+        moving = self._moving(masses, command, t)
         drive = Input(
-            push.mean[0], command[: len(self.columns)], wrench, t, push.slope[0], t + 0.5 * dt, slide
+            push.mean[0], command[: len(self.columns)], wrench, t, push.slope[0], t + 0.5 * dt, moving
         )
         after = hold(self.plant, now, drive, dt)
         parts = [after.position, after.attitude, after.velocity, after.memory]
         parts.append(asked.after(before)[0][np.array(self.slow, int)])
-        if slide is not None:
-            parts.append(jnp.stack(slide(t + dt)[:2]))
+        parts += [one.state(motion, t + dt) for one, motion in zip(self.plant.masses, moving, strict=True)]
         return jnp.concatenate(parts)
 
     def rates(self, state: Flat, command: Command, wrench: Wrench, t: Scalar) -> Flat:
         """The time derivative of the state."""
-        now, slow, slid = self._parts(state)
+        now, slow, masses = self._parts(state)
         goal = self.asked(command, jnp.ones(())).goal[0]
-        slide = None if self.plant.slider is None else self._slide(slid, command, t)
+        moving = self._moving(masses, command, t)
         acting = self._filled(goal, slow)
-        drive = Input(acting, command[: len(self.columns)], wrench, t, slide=slide)
+        drive = Input(acting, command[: len(self.columns)], wrench, t, moving=moving)
         rates = self.plant.rates(now, drive)
         parts = [rates.position, rates.attitude, rates.velocity, rates.memory]
         which, limit = np.array(self.slow, int), self.plant.drive.rate
@@ -116,8 +114,7 @@ class Model(eqx.Module):
         if limit is not None:
             change = jnp.clip(change, -limit[which], limit[which])
         parts.append(change)
-        if slide is not None:
-            parts.append(jnp.stack(slide(t)[1:]))
+        parts += [one.rates(motion, t) for one, motion in zip(self.plant.masses, moving, strict=True)]
         return jnp.concatenate(parts)
 
     def shown(self, state: Flat) -> Float[Array, "12"]:
@@ -126,7 +123,7 @@ class Model(eqx.Module):
         return jnp.concatenate([now.position, to_euler(now.attitude), now.velocity])
 
     def _parts(self, state: Flat) -> tuple[State, Array, Array]:
-        """The vehicle's state, that of slow actuators, and that of the slider."""
+        """The vehicle's state, that of slow actuators, and that of masses inside."""
         ends = 13 + 6 * len(self.plant.memories)
         now = State(state[:3], state[3:7], state[7:13], state[13:ends])
         return now, state[ends : ends + len(self.slow)], state[ends + len(self.slow) :]
@@ -146,7 +143,19 @@ class Model(eqx.Module):
             else goal
         )
 
-    def _slide(self, slid: Float[Array, "2"], command: Command, t: Scalar) -> Slide:
-        slider = self.plant.slider
-        assert slider is not None
-        return Slide(slid[0], slid[1], slider.travel * command[-1], t, slider.time_constant)
+    def _told(self, command: Command) -> list[tuple[AbstractMasses, Array]]:
+        """Masses inside, each with its own part of the command."""
+        out, begin = [], len(self.columns)
+        for one in self.plant.masses:
+            out.append((one, command[begin : begin + len(one.columns)]))
+            begin += len(one.columns)
+        return out
+
+    def _moving(self, state: Float[Array, " masses"], command: Command, t: Scalar) -> tuple[Any, ...]:
+        """How masses inside move from their state on."""
+        out, begin = [], 0
+        for one, own in self._told(command):
+            end = begin + len(one.state_names)
+            out.append(one.held(state[begin:end], own, t))
+            begin = end
+        return tuple(out)

@@ -83,7 +83,7 @@ class Plain:
 def lost(vehicle: Vehicle) -> tuple[str, ...]:
     """What a vehicle has beside those numbers."""
     plant = vehicle.plant()
-    out = [*_lost.always(vehicle), *_lost.slider(vehicle), *_lost.memory(vehicle)]
+    out = [*_lost.always(vehicle), *_lost.masses(vehicle), *_lost.memory(vehicle)]
     for one in vehicle.actuators:
         out.append(f"{one.title} are left out: {', '.join(one.names)}.")
     others = [e.name for e in plant.wrenches if not isinstance(e, (*_PLAIN, FluidMemory))]

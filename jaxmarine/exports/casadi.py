@@ -16,7 +16,7 @@ NEEDS = ("casadi",)
 
 def lost(vehicle: Vehicle) -> tuple[str, ...]:
     """All is held, memory and learned terms too, but the sliding mass and what is the log's."""
-    return *_lost.always(vehicle), *_lost.slider(vehicle)
+    return *_lost.always(vehicle), *_lost.masses(vehicle)
 
 
 def functions(vehicle: Vehicle) -> tuple[Model, dict[str, Any]]:
@@ -24,7 +24,7 @@ def functions(vehicle: Vehicle) -> tuple[Model, dict[str, Any]]:
     # Loads CasADi, which only those who ask for this format have.
     from ._symbols import expressed
 
-    model = Model.of(vehicle, slides=False)
+    model = Model.of(vehicle, moves=False)
     state, command = len(model.state_names), len(model.command_names)
     signatures = {
         "start": (model.start, {"position": 3, "attitude": 3, "velocity": 6, "command": command}, "state"),

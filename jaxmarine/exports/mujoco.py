@@ -25,7 +25,7 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 
 def lost(vehicle: Vehicle) -> tuple[str, ...]:
     """The callback has no state of its own, so that nothing lags."""
-    out = [*_lost.always(vehicle), *_lost.slider(vehicle), *_lost.lag(vehicle), *_lost.memory(vehicle)]
+    out = [*_lost.always(vehicle), *_lost.masses(vehicle), *_lost.lag(vehicle), *_lost.memory(vehicle)]
     out.append("Contacts and ties feel the rigid body alone, without its added mass.")
     if not _bodily(_inertia(vehicle)[2]):
         out.append(
@@ -55,7 +55,7 @@ def write(vehicle: Vehicle, path: Path, notes: Sequence[str]) -> None:
     """Writes a zip archive of `vehicle.xml`, `hull.py`, which has the callback, and what that reads."""
     from ._symbols import expressed
 
-    model = Model.of(vehicle, slides=False)
+    model = Model.of(vehicle, moves=False)
     mass, cog, inertia = _inertia(vehicle)
     if not _bodily(inertia):
         inertia = np.eye(3) * np.abs(inertia).max()

@@ -644,6 +644,9 @@ def _of_target(vehicle: Vehicle, path) -> tuple[list[tuple[int, ...]] | None, li
 
 
 def _labels(vehicle: Vehicle, name: str, leaf: np.ndarray) -> list[str]:
+    if name.startswith("masses["):
+        number, name = name.removeprefix("masses[").split("].", 1)
+        name = f"{vehicle.masses[int(number)].key}.{name}"
     if leaf.ndim == 0:
         return [name]
     places = list(np.ndindex(*leaf.shape))

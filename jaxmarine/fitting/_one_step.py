@@ -23,7 +23,7 @@ from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
-from ._rollout import Problem, fluid_memory, late_of, of_segment, slides_of, start_precision, thrust_of
+from ._rollout import Problem, fluid_memory, late_of, moves_of, of_segment, start_precision, thrust_of
 from ._trajectory import segments
 from ._windows import cut
 
@@ -66,10 +66,10 @@ class OneStep(eqx.Module):
         lagged, _ = fluid_memory(self.problem, plants)
         states = State(samples.position, samples.attitude, samples.velocity, lagged)
         commands = records.commands[..., : thrust.shape[-1]]
-        slide = slides_of(self.problem, plants)
+        moving = moves_of(self.problem, plants)
         earlier = jnp.concatenate([records.wrench[:, :1], records.wrench[:, :-1]], axis=1)
         wrench = records.wrench if samples.instant else 0.5 * (earlier + records.wrench)
-        drive = Input(thrust, commands, wrench, records.t, slide=slide)
+        drive = Input(thrust, commands, wrench, records.t, moving=moving)
 
         def one(state, acceleration, drive, segment):
             return of(of_segment(plants, segment), state, acceleration, drive)

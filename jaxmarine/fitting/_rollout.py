@@ -7,6 +7,7 @@ follows the memory that the logged motion drives.
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._angles import ANGLES, wrap_to_pi
 from .._compiled import compiled
 from .._types import JUMPS, MOTION
-from ..physics import Drive, Late, Slide, Thrust, delayed, lagging, late
+from ..physics import Drive, Late, Thrust, delayed, lagging, late
 from ..simulation import hold
 from ..vehicle import Input, Plant, State
 from ._parts import in_parts, joined, part_of
@@ -119,12 +120,12 @@ def thrust_of(problem: Problem, drives: Drive, late: Late) -> Thrust:
     return jax.vmap(one)(late, problem.records.t, problem.records.segment)
 
 
-def slides_of(problem: Problem, plants: Plant) -> Slide | None:
-    """The motion of the sliding mass over each hold of all logs; its servo is the same in all segments."""
+def moves_of(problem: Problem, plants: Plant) -> tuple[Any, ...] | None:
+    """The motion of masses inside over each hold of all logs; their servos are the same in all segments."""
     plant = jax.tree.map(lambda a: a[0], plants)
-    if plant.slider is None:
+    if not plant.masses:
         return None
-    return jax.vmap(plant.slides)(problem.records.t, problem.records.commands)
+    return jax.vmap(plant.moves)(problem.records.t, problem.records.commands)
 
 
 def _inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -202,17 +203,19 @@ class Track(eqx.Module):
     dt: Array
 
 
-def tracks_of(problem: Problem, windows: Windows, push: Thrust, slides: Slide | None, lagged) -> Track:
-    """The tracks of some windows, stacked; the thrust, slides and fluid memory are those of all logs."""
+def tracks_of(
+    problem: Problem, windows: Windows, push: Thrust, moving: tuple[Any, ...] | None, lagged
+) -> Track:
+    """The tracks of some windows, stacked; thrust, masses inside and fluid memory are of all logs."""
     records, log, step = problem.records, windows.log[:, None], windows.step
     t, dt = records.t[log, step], records.dt[log, step]
     commands = records.commands[log, step, : push.mean.shape[-1]]
     wrench = records.wrench[log, step]
     common = (commands, wrench if windows.wrench is None else wrench + windows.wrench[:, None], t)
-    slide = jax.tree.map(lambda a: a[log, step], slides)
+    moving = jax.tree.map(lambda a: a[log, step], moving)
     return Track(
-        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, slide),
-        instant=Input(push.instant[log, step], *common, slide=slide),
+        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, moving),
+        instant=Input(push.instant[log, step], *common, moving=moving),
         lagged=lagged[log, step],
         segment=records.segment[log, step],
         dt=dt,
@@ -254,7 +257,7 @@ def predict(problem: Problem, theta, delta):
     """
     plants = jax.vmap(problem.plant_of)(theta, jnp.arange(theta.shape[0]))
     push = thrust_of(problem, plants.drive, late_of(problem, plants.drive))
-    slides = slides_of(problem, plants)
+    moving = moves_of(problem, plants)
     lagged = fluid_memory(problem, plants)[0]
 
     def one(windows, track, delta):
@@ -271,7 +274,7 @@ def predict(problem: Problem, theta, delta):
 
     def some(index):
         here, moved = jax.tree.map(lambda a: a[index], (problem.windows, delta))
-        return jax.vmap(one)(here, tracks_of(problem, here, push, slides, lagged), moved)
+        return jax.vmap(one)(here, tracks_of(problem, here, push, moving, lagged), moved)
 
     windows, count = problem.windows, problem.windows.count
     channels = jax.lax.map(some, in_parts(jnp.arange(count), part_of(count, CHUNK)))

@@ -15,7 +15,7 @@ through the solver.
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._types import ALWAYS
-from ..physics import KIND, Earlier, Slide, Thrust, apply, attitude_rate, rotation
+from ..physics import KIND, Earlier, Thrust, apply, attitude_rate, rotation
 from ..vehicle import Input, Plant, State
 from ._affine import Affine, Columns
 from ._rollout import (
@@ -34,9 +34,9 @@ from ._rollout import (
     Track,
     fluid_memory,
     late_of,
+    moves_of,
     of_segment,
     roll_out,
-    slides_of,
     start_of,
     thrust_of,
     tracks_of,
@@ -226,7 +226,7 @@ class Sweep(eqx.Module):
 
     - `knots`: of the free wrench (`screening`).
     - `plants`, `chain`: of each segment; `chain_slopes`: derivatives of the latter by z.
-    - `push`, `slides`, `lagged`: thrust, sliding mass and fluid memory along all logs; `driven`: derivatives
+    - `push`, `moving`, `lagged`: thrust, masses inside and fluid memory along all logs; `driven`: derivatives
       of the thrust by z; `d_lagged`: slope of the memory per lag.
     """
 
@@ -238,7 +238,7 @@ class Sweep(eqx.Module):
     chain_slopes: _Chain
     columns: Columns
     push: Thrust
-    slides: Slide | None
+    moving: tuple[Any, ...] | None
     driven: ThrustSlopes
     lagged: Array
     d_lagged: Array
@@ -258,7 +258,7 @@ class Sweep(eqx.Module):
 
         drive_slopes = slope(lambda plant: plant.drive)
         chain_slopes = slope(lambda plant: _chain(plant, problem.width))
-        late, slides = late_of(problem, plants.drive), slides_of(problem, plants)
+        late, moving = late_of(problem, plants.drive), moves_of(problem, plants)
         push = thrust_of(problem, plants.drive, late)
         driven = ThrustSlopes.of(problem, plants.drive, drive_slopes, late, push.before)
         columns = Columns.of(affine.columns)
@@ -272,7 +272,7 @@ class Sweep(eqx.Module):
             chain_slopes=chain_slopes,
             columns=columns,
             push=push,
-            slides=slides,
+            moving=moving,
             driven=driven,
             lagged=lagged,
             d_lagged=d_lagged,
@@ -294,7 +294,7 @@ class Sweep(eqx.Module):
 
         - `begun`: theirs of `driven.begun`.
         """
-        tracks = tracks_of(self.problem, windows, self.push, self.slides, self.lagged)
+        tracks = tracks_of(self.problem, windows, self.push, self.moving, self.lagged)
 
         def followed(windows, track, delta):
             first = start_of(windows, delta, track.lagged[0])
@@ -357,7 +357,7 @@ class Sweep(eqx.Module):
             d_lagged = d_slow
         held = track.over
         assert held.middle is not None
-        over = Input(held.thrust, held.command, held.wrench, held.middle, slide=held.slide)
+        over = Input(held.thrust, held.command, held.wrench, held.middle, moving=held.moving)
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
         return _Points(middle, over, between, track.segment, d_lagged)
 

@@ -111,8 +111,8 @@ class Room:
 def _settled(vehicle: Vehicle, log: Log) -> int:
     """The first sample at which what the actuators were told before the log no longer acts.
 
-    Four lags and the delay, placed effects included, or six of a sliding mass' servo, whose pole is
-    double; at most a tenth of the log.
+    Four lags and the delay, placed effects included, or until masses inside have settled; at most a tenth
+    of the log.
     """
     if log.commands is None or not vehicle.command_names:
         return 0
@@ -121,8 +121,7 @@ def _settled(vehicle: Vehicle, log: Log) -> int:
     if drive.rate is not None:
         # From one end to the other at the limited rate.
         memory += float(jnp.max(2.0 * drive.saturation / drive.rate, initial=0.0))
-    if vehicle.slider is not None:
-        memory = max(memory, 6.0 * float(vehicle.slider.time_constant))
+    memory = max([memory, *(one.settled for one in vehicle.masses)])
     return int(np.searchsorted(log.t, log.t[0] + min(memory, 0.1 * log.duration) - 1e-9))
 
 

@@ -69,5 +69,3 @@ from ._late import KIND as KIND
 from ._late import LATE as LATE
 from ._late import Earlier as Earlier
 from ._late import late as late
-from ._slider import Slide as Slide
-from ._slider import Slider as Slider

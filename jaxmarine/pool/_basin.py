@@ -62,7 +62,7 @@ class Basin:
         seed: int | None = None,
     ):
         late = [vehicle.thrusters.delay, *(one.delay for one in vehicle.actuators)]
-        if any(np.any(delay) for delay in late) or vehicle.slider is not None:
+        if any(np.any(delay) for delay in late) or vehicle.masses:
             raise ValueError("A craft whose commands act late, or that shifts a mass, cannot be flown.")
 
         def plant(sizes: dict[str, dict[str, Array]], gates: Float[Array, " placed"]) -> Plant:
