@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine.diagnosis import Criteria
 from jaxmarine.diagnosis._answer import alternatives, spread
 from jaxmarine.diagnosis._model import Member, Model, Workbench
 from jaxmarine.diagnosis._search import Round, Trial
@@ -57,6 +58,7 @@ def weighed_beside(saved: dict[int, float], accepted: bool = True) -> Round:
 def others(rounds: list[Round], named: set[int]) -> list[tuple[str, float, bool]]:
     """Of the suspect 0, whose evidence beside all others is 50 nats."""
     bench: Any = object.__new__(Workbench)
+    bench.criteria = Criteria()
     suspects = [SimpleNamespace(effect=SimpleNamespace(name=name), target=None) for name in "abcdefghi"]
     columns = [np.zeros((9, 2 if name == "i" else 1)) for name in "abcdefghi"]
     bench.layout, bench.samples = SimpleNamespace(suspects=suspects, columns=columns), round(np.exp(5.0))

@@ -125,6 +125,7 @@ def test_alternatives_are_those_of_the_round_that_was_won():
     labels = ("a", "b", "c")
     suspects = [SimpleNamespace(effect=SimpleNamespace(name=name), target=None) for name in labels]
     bench: Any = object.__new__(Workbench)
+    bench.criteria = jm.Criteria()
     bench.layout = SimpleNamespace(suspects=suspects, columns=[np.zeros((3, 1))] * 3)
     bench.samples = 1000
     model = Model((), np.zeros(0), jnp.zeros((0, 12)), 0.0)
