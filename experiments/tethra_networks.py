@@ -6,10 +6,11 @@ Six networks learn the acceleration, the mass is read from them, six more learn 
 a vehicle, whose feedforward steers the spiral dive of `tethra_control`. As printed, and with what mends it:
 an intercept and symmetry for the mass, networks that brake at every velocity. In case III a sonar is mounted
 under way that multiplies the damping; networks that brake learn all of their weights online, without and with
-feedback.
+feedback. What a seed has given lies in `DIR/parts`, so that a run that was cut goes on where it was.
 """
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,6 +53,7 @@ PRINTED = {
     ("III", "networks as printed, stale"): (1.96, 2.28, 0.35),
     ("III", "the same, damping that brakes, learning"): (0.31, 0.25, 0.042),
 }
+COUNTS = ("taken", "offered", "judged", "regretted")
 RUN_AWAY = 1.0  # [m/s] rms of the velocity error late in case III: over three times the speed of the dive
 
 
@@ -138,16 +140,30 @@ class Online:
 
     Networks of the form L L' + K brake at every velocity whatever their weights, so that the model cannot
     give energy to the hull. An update is bounded by ten steps, by what is rehearsed, and by the last `JUDGED`
-    seconds, to whose forces it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures.
+    seconds, to whose forces it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures,
+    and `regretted` the updates, of `judged`, that were farther from what came next than what they replaced.
     Accelerations are slopes of the velocities, whose noise is far below that of the accelerations.
     """
 
     known: Float[np.ndarray, "points 6"]
     log: jm.Log | None = None
+    replaced: NetworkDamping | None = None
     taken: int = 0
     offered: int = 0
+    judged: int = 0
+    regretted: int = 0
+
+    def forget(self) -> None:
+        """For a craft that is another one from here on."""
+        self.log = self.replaced = None
 
     def update(self, vehicle: jm.Vehicle, log: jm.Log) -> jm.Vehicle:
+        if self.replaced is not None:
+            # What has come since no decision has seen: was the last update right?
+            before, after = self._missed((self.replaced, networks_of(vehicle)), *_felt(vehicle, log))
+            self.judged += 1
+            self.regretted += not after < before
+            self.replaced = None
         if self.log is not None:
             values = {
                 name: np.concatenate([getattr(self.log, name), getattr(log, name)])
@@ -159,22 +175,28 @@ class Online:
         self.log = dataclasses.replace(log, **cut)
         if len(self.log.t) < count:
             return vehicle
-        nu, _, force = _arrays(vehicle, self.log)
-        nu_dot = jnp.gradient(nu, DT, axis=0)
-        # The inertia of the sonar is known; it stands in the payload.
-        mass = vehicle.plant().load.rigid + vehicle.plant().load.added
-        targets = damping_targets(mass, nu, nu_dot, force)
+        nu, targets = _felt(vehicle, self.log)
         before = networks_of(vehicle)
         after = _retrained(before, nu[:-judged], targets[:-judged], jnp.asarray(self.known))
-        old, new = (
-            float(((jax.vmap(t.networks)(nu[-judged:]) - targets[-judged:]) ** 2).sum())
-            for t in (before, after)
-        )
+        old, new = self._missed((before, after), nu[-judged:], targets[-judged:])
         self.offered += 1
         if not new < old:
             return vehicle
         self.taken += 1
+        self.replaced = before
         return eqx.tree_at(networks_of, vehicle, after)
+
+    @staticmethod
+    def _missed(terms: tuple[NetworkDamping, NetworkDamping], nu, targets) -> list[float]:
+        return [float(((jax.vmap(term.networks)(nu) - targets) ** 2).sum()) for term in terms]
+
+
+def _felt(vehicle: jm.Vehicle, log: jm.Log) -> tuple[Array, Array]:
+    """Velocities of a log, and the damping forces that its motion shows; the inertia is known."""
+    nu, _, force = _arrays(vehicle, log)
+    # That of the sonar stands in the payload.
+    mass = vehicle.plant().load.rigid + vehicle.plant().load.added
+    return nu, damping_targets(mass, nu, jnp.gradient(nu, DT, axis=0), force)
 
 
 def flown(
@@ -189,7 +211,7 @@ def flown(
         if abs(t[0] - size.change) < DT / 2:
             truth, model = dragging(mounted(truth)), mounted(model)
             if online is not None:
-                online.log = None
+                online.forget()
         run = control.follow(truth, path.at(t), wrench_for(model, path, t), state, feedback)
         run = jax.tree.map(np.asarray, run)
         state = jax.tree.map(lambda a: a[-1], run.trajectory.states)
@@ -223,7 +245,7 @@ def trial(truth: jm.Vehicle, path, size: Size, seed: int) -> list[dict[str, Any]
     for words, back in (("learning", None), ("learning, with feedback", feedback)):
         online = Online(known)
         run = flown(truth, models["II", BRAKING], online, path, size, seed, back)
-        note("III", f"{BRAKING}, {words}", run, {"taken": online.taken, "offered": online.offered})
+        note("III", f"{BRAKING}, {words}", run, {name: getattr(online, name) for name in COUNTS})
     run = flown(truth, models["II", BRAKING], None, path, size, seed, feedback)
     note("III", f"{BRAKING}, stale, with feedback", run)
     return rows
@@ -242,7 +264,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             late = np.array([row["late_velocity_rms"] for row in own], float)
             late = np.where(np.isfinite(late), late, np.inf)
             one |= {"late_velocity_rms": late.tolist(), "ran_away": int((late > RUN_AWAY).sum())}
-            one |= {name: sum(row.get(name, 0) for row in own) for name in ("taken", "offered")}
+            one |= {name: sum(row.get(name, 0) for row in own) for name in COUNTS}
         out.append(one)
     return out
 
@@ -280,8 +302,12 @@ def main(
             size.dive,
             study_of_control.RAMP,
         )
+        (out / "parts").mkdir(exist_ok=True)
         for seed in bar.track(range(seeds), description="seeds"):
-            rows += trial(truth, path, size, seed)
+            kept = out / "parts" / f"{size.data:g}s_{size.epochs}_{seed}.json"
+            if not kept.exists():
+                kept.write_text(json.dumps(trial(truth, path, size, seed)), encoding="utf-8")
+            rows += json.loads(kept.read_text())
             results = {"summary": summary(rows), "rows": rows}
             write_results(out, results, table(results))
 

@@ -81,7 +81,15 @@ def test_an_update_is_kept_only_where_it_explains_what_came_later(monkeypatch):
         online.log = None
         kept = online.update(after, log)
         assert kept is after
-    assert (online.taken, online.offered) == (1, 3)
+    # What came after the update that was taken speaks for it, and is asked once.
+    assert (online.taken, online.offered, online.judged, online.regretted) == (1, 3, 1, 0)
+    online.replaced = true
+    online.update(model, first)
+    assert (online.judged, online.regretted) == (2, 1)
+    online.replaced = true
+    online.forget()
+    online.update(model, first)
+    assert online.judged == 2
 
 
 def test_the_page_says_what_was_found():
