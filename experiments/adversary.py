@@ -6,8 +6,8 @@ A boat's logs are made by the independent simulator (`experiments/blind`) and th
 exchanged, sensors late, noise misstated, causes that come and go, cancel one another or act in one log
 only. Each trick states which answers are honest; any other name is one that it was fooled into, and so is
 blame of sensors that are right. It goes on where it was cut and writes results.json and results.md. All of
-seed 1 lies in DIR/seed_1. `--fresh`: tricks whose honest answers were written down before any of them was run;
-nothing was mended on them.
+seed 1 lies in DIR/seed_1. `--fresh`: tricks whose honest answers were written down before any of them was
+run; nothing was mended on them.
 """
 
 import json

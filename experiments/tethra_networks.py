@@ -24,8 +24,9 @@ from rich.progress import Progress
 
 import jaxmarine as jm
 from experiments import tethra_control as study_of_control
-from experiments._study import spread, study, write_results
+from experiments._study import decided, spread, study, write_results
 from experiments.tethra_control import DT, at_rest, dragging, errors, guess, measured, mounted, wrench_for
+from experiments.tethra_tables import claim_table
 from experiments.thesis import plant
 from jaxmarine import control
 from jaxmarine.effects import Payload
@@ -40,7 +41,7 @@ WAYS: dict[str, tuple[bool, bool, Form]] = {
     "networks, mass with intercept, symmetric": (True, True, "free"),
     "the same, damping that brakes": (True, True, "dissipative"),
 }
-BRAKING = list(WAYS)[-1]
+PLAIN, MENDED, BRAKING = WAYS
 WINDOW, JUDGED = 15.0, 5.0  # [s] that an update learns from, and that judge it
 THINNED = 4  # one of so many samples trains the networks that brake
 REHEARSED = 200  # velocities of the first log at which an update keeps what was known
@@ -54,6 +55,27 @@ PRINTED = {
     ("III", "the same, damping that brakes, learning"): (0.31, 0.25, 0.042),
 }
 COUNTS = ("taken", "offered", "judged", "regretted")
+# Case, the model whose error is to be lower, the one it is compared with, and which error.
+CLAIMS = (
+    ("ours: an intercept and symmetry help", "I", MENDED, PLAIN, "rms_m"),
+    ("ours: with noise too", "II", MENDED, PLAIN, "rms_m"),
+    ("ours: networks that brake are better, with noise", "II", BRAKING, MENDED, "rms_m"),
+    (
+        "thesis: learning online lowers the late velocity error",
+        "III",
+        f"{BRAKING}, learning",
+        f"{BRAKING}, stale",
+        "late_velocity_rms",
+    ),
+    ("thesis: and the way off", "III", f"{BRAKING}, learning", f"{BRAKING}, stale", "rms_m"),
+    (
+        "ours: under feedback too, the way off",
+        "III",
+        f"{BRAKING}, learning, with feedback",
+        f"{BRAKING}, stale, with feedback",
+        "rms_m",
+    ),
+)
 RUN_AWAY = 1.0  # [m/s] rms of the velocity error late in case III: over three times the speed of the dive
 
 
@@ -240,7 +262,7 @@ def trial(truth: jm.Vehicle, path, size: Size, seed: int) -> list[dict[str, Any]
             note(case, way, study_of_control.followed(truth, model, path).trajectory)
     feedback = control.pole_placement(guess(truth).mass_matrix, study_of_control.FREQUENCY)
     known = noisy.channels[:: max(1, len(noisy.t) // REHEARSED), 6:12][:REHEARSED]
-    for way in (next(iter(WAYS)), BRAKING):
+    for way in (PLAIN, BRAKING):
         note("III", f"{way}, stale", flown(truth, models["II", way], None, path, size, seed))
     for words, back in (("learning", None), ("learning, with feedback", feedback)):
         online = Online(known)
@@ -269,6 +291,21 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return out
 
 
+def claims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each claim over seeds; positions count by the length of their rms."""
+    found = {(row["case"], row["model"], row["seed"]): row for row in rows}
+    seeds = sorted({row["seed"] for row in rows})
+    return decided(
+        {
+            f"{words} (case {case})": [
+                tuple(float(np.linalg.norm(found[case, model, seed][error])) for model in (better, worse))
+                for seed in seeds
+            ]
+            for words, case, better, worse, error in CLAIMS
+        }
+    )
+
+
 def table(results: dict[str, Any]) -> str:
     """Median rms per axis beside what the thesis prints, the worst seed's, and case III late."""
     lines = ["| case | model | rms x, y, z m | printed | worst m | late velocity, rms m/s | ran away |"]
@@ -283,7 +320,7 @@ def table(results: dict[str, Any]) -> str:
             late, away = spread(one["late_velocity_rms"], 4), f"{one['ran_away']} of {one['seeds']}"
         cells = [one["case"], one["model"], found, printed, f"{one['worst_m']:.2g}", late, away]
         lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n\n" + claim_table(results["claims"])
 
 
 def main(
@@ -308,7 +345,7 @@ def main(
             if not kept.exists():
                 kept.write_text(json.dumps(trial(truth, path, size, seed)), encoding="utf-8")
             rows += json.loads(kept.read_text())
-            results = {"summary": summary(rows), "rows": rows}
+            results = {"summary": summary(rows), "claims": claims(rows), "rows": rows}
             write_results(out, results, table(results))
 
 
