@@ -175,7 +175,7 @@ def tricks() -> dict[str, Trick]:
 
 def gap(log: pd.DataFrame) -> pd.DataFrame:
     """Forty seconds that were not logged."""
-    return log[(log["t"] < 60.0) | (log["t"] >= 100.0)].reset_index(drop=True)
+    return log.loc[(log["t"] < 60.0) | (log["t"] >= 100.0)].reset_index(drop=True)
 
 
 def frozen(log: pd.DataFrame) -> pd.DataFrame:

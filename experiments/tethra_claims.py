@@ -27,7 +27,7 @@ from rich.progress import Progress
 
 import jaxmarine as jm
 from experiments._study import decided, study, write_results
-from experiments.tethra_tables import claim_table
+from experiments.tethra_tables import claim_table, number
 from experiments.thesis import baselines, plant, training
 from jaxmarine.fitting import damping_matrices, damping_targets, fit_samples, levenberg_marquardt
 from jaxmarine.fitting._subnets import mass_of, train_acceleration, train_damping
@@ -44,6 +44,7 @@ TORPEDO = np.array([0, 3, 4, 5])  # forces in surge, moments in roll, pitch and 
 FULL = np.array([15.0, 0.0, 0.0, 2.0, 4.0, 4.0])
 RATES = (0.01, 0.03, 0.1, 0.3, 1.0)  # of steepest descent; a hundredth of them sample by sample
 DECAYS = (1e-6, 1e-5, 1e-4, 1e-3)
+METHODS = ("networks", "LS (6.1)", "LS_2, mass of the networks", "inverse LS", "two-stage LS")
 AHEAD = 5.0  # [s] of a free run from a true state
 
 Errors = dict[str, float]
@@ -77,8 +78,10 @@ class Motion:
     def of(cls, vehicle: jm.Vehicle, log: jm.Log) -> "Motion":
         force = plant.forces(vehicle, log)
         restoring = jax.vmap(lambda a: _restoring(vehicle, a))(jnp.asarray(log.channels[:, 3:6]))
-        parts = (log.channels[:, 3:6], log.channels[:, 6:12], log.channels[:, 12:18], force)
-        return cls(*map(jnp.asarray, parts), jnp.asarray(force) + restoring)
+        shown = jnp.asarray(log.channels)
+        return cls(
+            shown[:, 3:6], shown[:, 6:12], shown[:, 12:18], jnp.asarray(force), jnp.asarray(force) + restoring
+        )
 
     def every(self, k: int) -> "Motion":
         return Motion(*(getattr(self, f.name)[::k] for f in dataclasses.fields(self)))
@@ -88,7 +91,7 @@ def _restoring(vehicle: jm.Vehicle, attitude: Array) -> Array:
     return vehicle.plant().load.restoring(rotation(from_euler(attitude))[2])
 
 
-def relative(found: Array, true: Array) -> Float[np.ndarray, " axes"]:
+def relative(found: Array | np.ndarray, true: Array | np.ndarray) -> Float[np.ndarray, " axes"]:
     """Root mean square error of each axis over the spread of what is true."""
     off = np.sqrt(((np.asarray(found) - np.asarray(true)) ** 2).mean(axis=0))
     return off / np.asarray(true).std(axis=0)
@@ -662,9 +665,25 @@ def part(seed: int, size: Size) -> dict[str, Any]:
 
 
 def table(results: dict[str, Any]) -> str:
-    """The claims, and what each method costs."""
-    lines = [claim_table(results["claims"]), "| method | CPU s |", "|---|---|"]
-    lines += [f"| {name} | {seconds:.2g} |" for name, seconds in results["seconds"].items()]
+    """The claims, then each method by its errors and what it costs, and each way to train."""
+    errors, seconds = results["errors"], results["seconds"]
+
+    def found(matrix: str, kind: str, method: str) -> str:
+        names = [f"{matrix} {what} %, {kind}: {method}" for what in ("diagonal", "mean")]
+        return " / ".join(number(errors[name]) for name in names) if names[0] in errors else "given"
+
+    lines = [claim_table(results["claims"])]
+    heads = ("velocities off by 1 cm/s: largest / `MeanError` %", "M, white", "D_l, white", "M, lasting")
+    lines += ["| " + " | ".join((*heads, "D_l, lasting", "CPU s")) + " |", "|---|---|---|---|---|---|"]
+    for method in METHODS:
+        cells = [found(matrix, kind, method) for kind in ("white", "coloured") for matrix in ("M", "D_l")]
+        lines.append(f"| {method} | " + " | ".join(cells) + f" | {seconds[method]:.2g} |")
+    lines += ["", "| way to train, 50 epochs | error of nu', share of its spread | CPU s |", "|---|---|---|"]
+    for name, error in errors.items():
+        way = name.removeprefix("app. A: ")
+        if way != name and not way.startswith("weights left"):
+            cost = f"{seconds[way]:.2g}" if way in seconds else "–"
+            lines.append(f"| {way} | {number(error)} | {cost} |")
     return "\n".join(lines) + "\n"
 
 

@@ -295,11 +295,14 @@ def claims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each claim over seeds; positions count by the length of their rms."""
     found = {(row["case"], row["model"], row["seed"]): row for row in rows}
     seeds = sorted({row["seed"] for row in rows})
+
+    def size(case: str, model: str, seed: int, error: str) -> float:
+        return float(np.linalg.norm(found[case, model, seed][error]))
+
     return decided(
         {
             f"{words} (case {case})": [
-                tuple(float(np.linalg.norm(found[case, model, seed][error])) for model in (better, worse))
-                for seed in seeds
+                (size(case, better, seed, error), size(case, worse, seed, error)) for seed in seeds
             ]
             for words, case, better, worse, error in CLAIMS
         }

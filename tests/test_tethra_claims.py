@@ -79,14 +79,15 @@ def test_claims_compare_the_errors_that_they_name():
     names = {name for _, better, worse, _ in study.CLAIMS for name in (better, worse)}
     found = json.loads((study.HERE / "results.json").read_text())
     assert names <= set(found["errors"])
-    # Where the first of a claim's errors is always half the second, all claims hold.
-    parts = []
-    for seed in range(12):
-        size = dict.fromkeys(names, 1.0 + 0.1 * seed)
-        parts.append({"seed": seed, "errors": size})
+    rng = np.random.default_rng(0)
+    parts = [
+        {"seed": seed, "errors": {name: float(rng.uniform(0.1, 1.0)) for name in sorted(names)}}
+        for seed in range(12)
+    ]
     for one, (words, better, worse, share) in zip(study.claims(parts), study.CLAIMS, strict=True):
-        assert one["claim"] == words
-        assert one["ratio"] == pytest.approx(1.0 / share) and better != worse
+        first, second = (np.array([p["errors"][name] for p in parts]) for name in (better, worse))
+        assert one["claim"] == words and one["wins"] == (first < share * second).sum()
+        assert (one["median"], one["against"]) == pytest.approx((np.median(first), np.median(second)))
 
 
 def test_the_page_says_what_was_found():
