@@ -2,13 +2,15 @@
 
 import contextlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+import scipy.stats
+from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.proportion import proportion_confint
 from threadpoolctl import threadpool_limits
 
@@ -61,6 +63,41 @@ def wilson(right: int, count: int) -> list[float]:
     if not count:
         return [0.0, 1.0]
     return np.asarray(proportion_confint(right, count, method="wilson"), float).tolist()
+
+
+LEVEL = 0.05  # of a family of claims
+
+
+def decided(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> list[dict[str, Any]]:
+    """Claims that one error is below another's, by Wilcoxon's signed ranks of their ratios, pair by pair.
+
+    A claim holds, or is refuted, where the two-sided p of its pairs is below `LEVEL` after Holm's correction
+    for all claims; else these pairs do not decide it. What has diverged is worse than what has not.
+    """
+    out = []
+    for words, own in pairs.items():
+        values = np.minimum(np.nan_to_num(np.array(own, float), nan=np.inf), 1e12)
+        ratio = values[:, 0] / values[:, 1]
+        tested: Any = scipy.stats.wilcoxon(np.log(ratio))
+        middle = np.median(values, axis=0)
+        out.append(
+            {
+                "claim": words,
+                "median": float(middle[0]),
+                "against": float(middle[1]),
+                "ratio": float(np.median(ratio)),
+                "wins": int((ratio < 1).sum()),
+                "dives": len(ratio),
+                "p": float(tested.pvalue),
+            }
+        )
+    if out:
+        held: Any = multipletests([one["p"] for one in out], method="holm")[1]
+        for one, p in zip(out, held, strict=True):
+            sure = p < LEVEL
+            one["p_holm"] = float(p)
+            one["verdict"] = ("holds" if one["ratio"] < 1 else "refuted") if sure else "undecided"
+    return out
 
 
 def spread(values: Sequence[float], digits: int) -> str:

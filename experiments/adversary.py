@@ -1,12 +1,13 @@
 """What fools the diagnosis? Logs with tricks that no effect of the catalogue is.
 
-usage: python -m experiments.adversary --out DIR [--seed 1] [--quick]
+usage: python -m experiments.adversary --out DIR [--seed 1] [--fresh] [--quick]
 
 A boat's logs are made by the independent simulator (`experiments/blind`) and then tampered with: columns
 exchanged, sensors late, noise misstated, causes that come and go, cancel one another or act in one log
 only. Each trick states which answers are honest; any other name is one that it was fooled into, and so is
 blame of sensors that are right. It goes on where it was cut and writes results.json and results.md. All of
-seed 1 lies in DIR/seed_1.
+seed 1 lies in DIR/seed_1. `--fresh`: tricks whose honest answers were written down before any of them was
+run; nothing was mended on them.
 """
 
 import json
@@ -51,6 +52,7 @@ class Trick:
     signals: tuple[str, ...] = ()
     noise: float = 1.0  # factor on the noise that the file states
     test_only: bool = False  # nothing is hidden in the training log
+    train_only: bool = False  # nothing is hidden in the test log
 
     @property
     def answers(self) -> tuple[str, ...]:
@@ -171,14 +173,67 @@ def tricks() -> dict[str, Trick]:
     }
 
 
+def gap(log: pd.DataFrame) -> pd.DataFrame:
+    """Forty seconds that were not logged."""
+    return log.loc[(log["t"] < 60.0) | (log["t"] >= 100.0)].reset_index(drop=True)
+
+
+def frozen(log: pd.DataFrame) -> pd.DataFrame:
+    """Sway's speed stays what it was for a minute."""
+    stuck = (log["t"] >= 50.0) & (log["t"] < 110.0)
+    return log.assign(v=log["v"].where(~stuck, log.loc[stuck, "v"].iloc[0]))
+
+
+def fresh_tricks() -> dict[str, Trick]:
+    """Tricks on which nothing was mended, by a short name."""
+    mirrored = both(lambda log: log.assign(v=-log["v"]))
+    fast = both(lambda log: log.assign(t=1.03 * log["t"]))
+    degrees = both(lambda log: log.assign(r=np.rad2deg(log["r"])))
+    coarse = both(lambda log: log.assign(**{n: (4 * log[n]).round() / 4 for n in ("port", "star", "bow")}))
+    turned = both(lambda log: log.assign(psi=log["psi"] + 0.3))
+    one_lost = both(lambda log: log.assign(bow=0.0))
+    spikes = both(lambda log: log.assign(u=log["u"].where(log.index % 97 != 0, 0.0)))
+    return {
+        "gap": Trick("forty seconds are not logged", (NOTHING,), logs=both(gap)),
+        "frozen": Trick("the speed of sway is stuck for a minute", (NOTHING, BLAMED), logs=both(frozen)),
+        "mirrored": Trick("sway counted to port", (BLAMED, REFUSED), logs=mirrored),
+        "fast clock": Trick(
+            "a clock that is 3 % fast", (NOTHING, BLAMED, "velocity_scale", "velocity_scale:all"), logs=fast
+        ),
+        "degrees of yaw": Trick("the rate of yaw in degrees", (BLAMED, REFUSED), logs=degrees),
+        "coarse commands": Trick(
+            "commands logged in quarters", (NOTHING,), logs=coarse, signals=("port", "star", "bow")
+        ),
+        "turned compass": Trick(
+            "a heading that is 0.3 rad off",
+            (BLAMED, "compass_deviation", "velocity_misalignment"),
+            logs=turned,
+        ),
+        "unlogged thruster": Trick(
+            "the bow thruster's command is not logged",
+            (NOTHING,),
+            logs=one_lost,
+            signals=("t", "psi", "port", "star"),
+        ),
+        "dropouts": Trick("one speed in a hundred is zero", (NOTHING,), logs=spikes),
+        "weak at first": Trick(
+            "a weak propeller in the training log only",
+            ("thruster_gain:port", NOTHING),
+            (WEAK,),
+            train_only=True,
+        ),
+    }
+
+
 def tampered(trick: Trick, folder: Path, seed: int) -> None:
     """Writes vehicle.toml, train.csv and test.csv."""
     make_case(folder, SHIP, trick.hidden, seed, duration_train=TRAIN, duration_test=TEST)
     tables = pd.read_csv(folder / "train.csv"), pd.read_csv(folder / "test.csv")
-    if trick.test_only:
+    if trick.test_only or trick.train_only:
         clean = folder / "clean"
         make_case(clean, SHIP, (), seed, duration_train=TRAIN, duration_test=TEST)
-        tables = pd.read_csv(clean / "train.csv"), tables[1]
+        without = pd.read_csv(clean / "train.csv"), pd.read_csv(clean / "test.csv")
+        tables = (without[0], tables[1]) if trick.test_only else (tables[0], without[1])
     train, test = trick.logs(tables, np.random.default_rng(seed))
     train.to_csv(folder / "train.csv", index=False)
     test.to_csv(folder / "test.csv", index=False)
@@ -249,14 +304,16 @@ def table(results: dict[str, Any]) -> str:
 def main(
     out: Annotated[Path, typer.Option(help="Folder for logs and results.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of all logs.")] = 1,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Those that nothing was mended on.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Three tricks.")] = False,
 ) -> None:
     """Tries to fool the diagnosis and writes down what did."""
-    chosen = tricks()
+    chosen = fresh_tricks() if fresh else tricks()
     if quick:
-        chosen = {name: chosen[name] for name in ("reversed", "degrees", "outliers")}
+        some = ("mirrored", "gap", "dropouts") if fresh else ("reversed", "degrees", "outliers")
+        chosen = {name: chosen[name] for name in some}
     results: dict[str, Any] = {}
-    out = out / f"seed_{seed}"
+    out = out / f"{'fresh' if fresh else 'seed'}_{seed}"
     with study(out, False):
         for name, trick in track(chosen.items(), "tricks", transient=True):
             folder = out / name.replace(" ", "_")

@@ -6,10 +6,11 @@ Six networks learn the acceleration, the mass is read from them, six more learn 
 a vehicle, whose feedforward steers the spiral dive of `tethra_control`. As printed, and with what mends it:
 an intercept and symmetry for the mass, networks that brake at every velocity. In case III a sonar is mounted
 under way that multiplies the damping; networks that brake learn all of their weights online, without and with
-feedback.
+feedback. What a seed has given lies in `DIR/parts`, so that a run that was cut goes on where it was.
 """
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,8 +24,9 @@ from rich.progress import Progress
 
 import jaxmarine as jm
 from experiments import tethra_control as study_of_control
-from experiments._study import spread, study, write_results
+from experiments._study import decided, spread, study, write_results
 from experiments.tethra_control import DT, at_rest, dragging, errors, guess, measured, mounted, wrench_for
+from experiments.tethra_tables import claim_table
 from experiments.thesis import plant
 from jaxmarine import control
 from jaxmarine.effects import Payload
@@ -39,7 +41,7 @@ WAYS: dict[str, tuple[bool, bool, Form]] = {
     "networks, mass with intercept, symmetric": (True, True, "free"),
     "the same, damping that brakes": (True, True, "dissipative"),
 }
-BRAKING = list(WAYS)[-1]
+PLAIN, MENDED, BRAKING = WAYS
 WINDOW, JUDGED = 15.0, 5.0  # [s] that an update learns from, and that judge it
 THINNED = 4  # one of so many samples trains the networks that brake
 REHEARSED = 200  # velocities of the first log at which an update keeps what was known
@@ -52,6 +54,28 @@ PRINTED = {
     ("III", "networks as printed, stale"): (1.96, 2.28, 0.35),
     ("III", "the same, damping that brakes, learning"): (0.31, 0.25, 0.042),
 }
+COUNTS = ("taken", "offered", "judged", "regretted")
+# Case, the model whose error is to be lower, the one it is compared with, and which error.
+CLAIMS = (
+    ("ours: an intercept and symmetry help", "I", MENDED, PLAIN, "rms_m"),
+    ("ours: with noise too", "II", MENDED, PLAIN, "rms_m"),
+    ("ours: networks that brake are better, with noise", "II", BRAKING, MENDED, "rms_m"),
+    (
+        "thesis: learning online lowers the late velocity error",
+        "III",
+        f"{BRAKING}, learning",
+        f"{BRAKING}, stale",
+        "late_velocity_rms",
+    ),
+    ("thesis: and the way off", "III", f"{BRAKING}, learning", f"{BRAKING}, stale", "rms_m"),
+    (
+        "ours: under feedback too, the way off",
+        "III",
+        f"{BRAKING}, learning, with feedback",
+        f"{BRAKING}, stale, with feedback",
+        "rms_m",
+    ),
+)
 RUN_AWAY = 1.0  # [m/s] rms of the velocity error late in case III: over three times the speed of the dive
 
 
@@ -138,16 +162,30 @@ class Online:
 
     Networks of the form L L' + K brake at every velocity whatever their weights, so that the model cannot
     give energy to the hull. An update is bounded by ten steps, by what is rehearsed, and by the last `JUDGED`
-    seconds, to whose forces it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures.
+    seconds, to whose forces it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures,
+    and `regretted` the updates, of `judged`, that were farther from what came next than what they replaced.
     Accelerations are slopes of the velocities, whose noise is far below that of the accelerations.
     """
 
     known: Float[np.ndarray, "points 6"]
     log: jm.Log | None = None
+    replaced: NetworkDamping | None = None
     taken: int = 0
     offered: int = 0
+    judged: int = 0
+    regretted: int = 0
+
+    def forget(self) -> None:
+        """For a craft that is another one from here on."""
+        self.log = self.replaced = None
 
     def update(self, vehicle: jm.Vehicle, log: jm.Log) -> jm.Vehicle:
+        if self.replaced is not None:
+            # What has come since no decision has seen: was the last update right?
+            before, after = self._missed((self.replaced, networks_of(vehicle)), *_felt(vehicle, log))
+            self.judged += 1
+            self.regretted += not after < before
+            self.replaced = None
         if self.log is not None:
             values = {
                 name: np.concatenate([getattr(self.log, name), getattr(log, name)])
@@ -159,22 +197,28 @@ class Online:
         self.log = dataclasses.replace(log, **cut)
         if len(self.log.t) < count:
             return vehicle
-        nu, _, force = _arrays(vehicle, self.log)
-        nu_dot = jnp.gradient(nu, DT, axis=0)
-        # The inertia of the sonar is known; it stands in the payload.
-        mass = vehicle.plant().load.rigid + vehicle.plant().load.added
-        targets = damping_targets(mass, nu, nu_dot, force)
+        nu, targets = _felt(vehicle, self.log)
         before = networks_of(vehicle)
         after = _retrained(before, nu[:-judged], targets[:-judged], jnp.asarray(self.known))
-        old, new = (
-            float(((jax.vmap(t.networks)(nu[-judged:]) - targets[-judged:]) ** 2).sum())
-            for t in (before, after)
-        )
+        old, new = self._missed((before, after), nu[-judged:], targets[-judged:])
         self.offered += 1
         if not new < old:
             return vehicle
         self.taken += 1
+        self.replaced = before
         return eqx.tree_at(networks_of, vehicle, after)
+
+    @staticmethod
+    def _missed(terms: tuple[NetworkDamping, NetworkDamping], nu, targets) -> list[float]:
+        return [float(((jax.vmap(term.networks)(nu) - targets) ** 2).sum()) for term in terms]
+
+
+def _felt(vehicle: jm.Vehicle, log: jm.Log) -> tuple[Array, Array]:
+    """Velocities of a log, and the damping forces that its motion shows; the inertia is known."""
+    nu, _, force = _arrays(vehicle, log)
+    # That of the sonar stands in the payload.
+    mass = vehicle.plant().load.rigid + vehicle.plant().load.added
+    return nu, damping_targets(mass, nu, jnp.gradient(nu, DT, axis=0), force)
 
 
 def flown(
@@ -189,7 +233,7 @@ def flown(
         if abs(t[0] - size.change) < DT / 2:
             truth, model = dragging(mounted(truth)), mounted(model)
             if online is not None:
-                online.log = None
+                online.forget()
         run = control.follow(truth, path.at(t), wrench_for(model, path, t), state, feedback)
         run = jax.tree.map(np.asarray, run)
         state = jax.tree.map(lambda a: a[-1], run.trajectory.states)
@@ -218,12 +262,12 @@ def trial(truth: jm.Vehicle, path, size: Size, seed: int) -> list[dict[str, Any]
             note(case, way, study_of_control.followed(truth, model, path).trajectory)
     feedback = control.pole_placement(guess(truth).mass_matrix, study_of_control.FREQUENCY)
     known = noisy.channels[:: max(1, len(noisy.t) // REHEARSED), 6:12][:REHEARSED]
-    for way in (next(iter(WAYS)), BRAKING):
+    for way in (PLAIN, BRAKING):
         note("III", f"{way}, stale", flown(truth, models["II", way], None, path, size, seed))
     for words, back in (("learning", None), ("learning, with feedback", feedback)):
         online = Online(known)
         run = flown(truth, models["II", BRAKING], online, path, size, seed, back)
-        note("III", f"{BRAKING}, {words}", run, {"taken": online.taken, "offered": online.offered})
+        note("III", f"{BRAKING}, {words}", run, {name: getattr(online, name) for name in COUNTS})
     run = flown(truth, models["II", BRAKING], None, path, size, seed, feedback)
     note("III", f"{BRAKING}, stale, with feedback", run)
     return rows
@@ -242,9 +286,27 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             late = np.array([row["late_velocity_rms"] for row in own], float)
             late = np.where(np.isfinite(late), late, np.inf)
             one |= {"late_velocity_rms": late.tolist(), "ran_away": int((late > RUN_AWAY).sum())}
-            one |= {name: sum(row.get(name, 0) for row in own) for name in ("taken", "offered")}
+            one |= {name: sum(row.get(name, 0) for row in own) for name in COUNTS}
         out.append(one)
     return out
+
+
+def claims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each claim over seeds; positions count by the length of their rms."""
+    found = {(row["case"], row["model"], row["seed"]): row for row in rows}
+    seeds = sorted({row["seed"] for row in rows})
+
+    def size(case: str, model: str, seed: int, error: str) -> float:
+        return float(np.linalg.norm(found[case, model, seed][error]))
+
+    return decided(
+        {
+            f"{words} (case {case})": [
+                (size(case, better, seed, error), size(case, worse, seed, error)) for seed in seeds
+            ]
+            for words, case, better, worse, error in CLAIMS
+        }
+    )
 
 
 def table(results: dict[str, Any]) -> str:
@@ -261,7 +323,7 @@ def table(results: dict[str, Any]) -> str:
             late, away = spread(one["late_velocity_rms"], 4), f"{one['ran_away']} of {one['seeds']}"
         cells = [one["case"], one["model"], found, printed, f"{one['worst_m']:.2g}", late, away]
         lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n\n" + claim_table(results["claims"])
 
 
 def main(
@@ -280,9 +342,13 @@ def main(
             size.dive,
             study_of_control.RAMP,
         )
+        (out / "parts").mkdir(exist_ok=True)
         for seed in bar.track(range(seeds), description="seeds"):
-            rows += trial(truth, path, size, seed)
-            results = {"summary": summary(rows), "rows": rows}
+            kept = out / "parts" / f"{size.data:g}s_{size.epochs}_{seed}.json"
+            if not kept.exists():
+                kept.write_text(json.dumps(trial(truth, path, size, seed)), encoding="utf-8")
+            rows += json.loads(kept.read_text())
+            results = {"summary": summary(rows), "claims": claims(rows), "rows": rows}
             write_results(out, results, table(results))
 
 

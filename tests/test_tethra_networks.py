@@ -81,13 +81,45 @@ def test_an_update_is_kept_only_where_it_explains_what_came_later(monkeypatch):
         online.log = None
         kept = online.update(after, log)
         assert kept is after
-    assert (online.taken, online.offered) == (1, 3)
+    # What came after the update that was taken speaks for it, and is asked once.
+    assert (online.taken, online.offered, online.judged, online.regretted) == (1, 3, 1, 0)
+    online.replaced = true
+    online.update(model, first)
+    assert (online.judged, online.regretted) == (2, 1)
+    online.replaced = true
+    online.forget()
+    online.update(model, first)
+    assert online.judged == 2
 
 
 def test_the_page_says_what_was_found():
     found = json.loads((study.HERE / "results.json").read_text())
+    assert {one["seeds"] for one in found["summary"]} == {20}
     assert sum(one.get("ran_away", 0) for one in found["summary"]) == 0
-    assert study.table(found) in (ROOT / "experiments" / "README.md").read_text()
+    page = (ROOT / "experiments" / "README.md").read_text()
+    assert study.table(found) in page
+    online = [one for one in found["summary"] if one["model"].startswith(f"{study.BRAKING}, learning")]
+    taken, offered, judged, regretted = (sum(one[name] for one in online) for name in study.COUNTS)
+    assert 0 < regretted < judged <= taken < offered
+    assert f"{taken} of {offered} updates" in page and f"{regretted} of {judged}" in page
+
+
+def test_claims_compare_the_same_seed():
+    """Dives that differ tenfold, each a fifth better with the second model: of medians nothing would show."""
+    claims = [claim for claim in study.CLAIMS if claim[0].startswith("thesis")]
+    assert len({claim[2:4] for claim in claims}) == 1
+    (case, better, worse) = claims[0][1:4]
+    rows = [
+        {"case": case, "model": model, "seed": seed, "rms_m": [size] * 3, "late_velocity_rms": size}
+        for seed in range(20)
+        for model, share in ((worse, 1.0), (better, 0.8))
+        for size in [share * 10 ** (seed / 19)]
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "CLAIMS", claims)
+        found = study.claims(rows)
+    assert [(one["verdict"], one["wins"]) for one in found] == [("holds", 20)] * len(claims)
+    assert found[1]["median"] == pytest.approx(np.sqrt(3) * found[0]["median"])
 
 
 @pytest.mark.slow  # trains six times

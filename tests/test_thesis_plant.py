@@ -82,6 +82,15 @@ def test_operator_moves_all_axes_and_stays_near():
     assert not np.array_equal(levels, plant.sticks(np.arange(10000) * plant.DT, seed=1))
 
 
+def test_an_idle_stick_gives_no_moment(log):
+    without = plant.dive(VEHICLE, 40.0, 3, idle=("roll",))
+    full = np.asarray(VEHICLE.plant().allocation * VEHICLE.thrusters.max_thrust[None])
+    rolling, still = (np.asarray(one.commands) @ full.T for one in (log, without))
+    assert np.abs(rolling[:, 3]).max() > 5.0  # [N m]
+    np.testing.assert_allclose(still[:, 3], 0.0, atol=1e-9)
+    assert without.channels[:, 9].std() < 0.5 * log.channels[:, 9].std()  # [rad/s]
+
+
 def test_pool_pushes_back_and_takes_energy():
     motion_in = dict(nu=jnp.array([0.5, 0, 0, 0, 0, 0.0]), position=jnp.array([12.05, 0.0, 0.0]))
     effect = plant.pool().effect

@@ -29,9 +29,10 @@ class Estimate:
 
 
 def errors(estimate, model) -> dict[str, float | None]:
-    """(6.3), (6.4) and (6.5) in per cent; None where the model has no such element.
+    """(6.3), (6.4), (6.5) and `MeanError` in per cent; None where the model has no such element.
 
-    Elements of the diagonal, off it, and those that are zero in the model, relative to the model's largest.
+    Elements of the diagonal, off it, those that are zero in the model, relative to the model's largest, and
+    the mean over all that are not zero (listing CalcErrors, which computes it and prints it nowhere).
     """
     estimate, model = np.asarray(estimate), np.asarray(model)
     on, there = np.eye(len(model), dtype=bool), model != 0
@@ -44,6 +45,7 @@ def errors(estimate, model) -> dict[str, float | None]:
         "diagonal": worst(on & there, relative),
         "off_diagonal": worst(~on & there, relative),
         "zero": worst(~there, np.abs(estimate) / model.max()),
+        "mean": float(100.0 * relative[there].mean()) if there.any() else None,
     }
 
 

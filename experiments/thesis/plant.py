@@ -7,13 +7,14 @@ The log holds commands, attitude, velocities and accelerations of every tenth of
 """
 
 import dataclasses
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
+import scipy.signal
 from jaxtyping import Array, Float
 
 import jaxmarine as jm
@@ -22,7 +23,7 @@ from jaxmarine.effects import Craft, InputDelay, Motion, Saturation, Suspect, Th
 from jaxmarine.physics import from_euler, rotation
 from jaxmarine.simulation import inputs
 
-Noise = Literal["text", "listing", "realistic"]
+Noise = Literal["text", "listing", "tenth", "realistic", "white", "coloured"]
 
 DT = 0.1  # [s] between samples (sec. 5.3)
 FINE = 10  # integration steps per sample: the truth is finer than any model that is fitted to it
@@ -41,6 +42,8 @@ COG, COB = (-0.0052, 0.0, -0.2269), (-0.0006, 0.0, -0.3817)  # [m]
 
 # Standard deviations of a realistic set of sensors: 2 cm, 0.005 rad, 1 cm/s, 0.01 rad/s.
 REALISTIC = {"position": 0.02, "attitude": 0.005, "velocity": 0.01, "rate": 0.01}
+# [s] memory of noise that lasts; sec. 6.3 speaks of it and gives no numbers.
+MEMORY = 5.0
 
 
 def tethra() -> jm.Vehicle:
@@ -149,15 +152,17 @@ def commands(
     return np.array(jm.allocate(vehicle, jnp.asarray(wrench), STICKS))
 
 
-def dive(vehicle: jm.Vehicle, duration: float, *seeds: int) -> jm.Log:
+def dive(vehicle: jm.Vehicle, duration: float, *seeds: int, idle: tuple[str, ...] = ()) -> jm.Log:
     """The true motion of the vehicle with an operator at its sticks, from rest; `noisy` measures it.
 
     - `duration` [s] of each operator; one follows on the other, so that `dive(v, T, 0, 1)` goes on where
       `dive(v, T, 0)` ends.
+    - `idle`: sticks that are left alone.
     """
     count = round(duration / DT)
     t = np.arange(count * len(seeds)) * DT
-    told = commands(vehicle, np.concatenate([sticks(t[:count], seed) for seed in seeds]))
+    levels = np.concatenate([sticks(t[:count], seed) for seed in seeds])
+    told = commands(vehicle, levels * [name not in idle for name in STICKS])
     fine = np.arange(len(t) * FINE) * (DT / FINE)
     names = vehicle.thruster_names
     blank = np.full((len(fine), len(CHANNELS)), np.nan)
@@ -174,9 +179,12 @@ def noisy(log: jm.Log, kind: Noise, seed: int) -> jm.Log:
 
     - "text" (sec. 5.3.1): velocities off by up to 0.1 % of their magnitude, accelerations by up to 0.5 m/s²
       and 0.05 rad/s², uniformly; attitude exact, no positions.
+    - "tenth": the same with a tenth of it on the accelerations, which is less than they are themselves.
     - "listing" (AddNoise): velocities by up to 10 %, accelerations by up to 50 % (linear) and 5 % (angular)
       of their magnitude; the forces' share of it is `noisy_forces`.
     - "realistic": normal with `REALISTIC`, on positions too; accelerations are not measured.
+    - "white", "coloured": velocities alone are off, with the same mean square of `REALISTIC`: from sample to
+      sample, or half of it as a bias and half with a `MEMORY` (sec. 6.3: non-zero mean and correlated).
     """
     rng = np.random.default_rng([seed, 1])
     channels = log.channels.copy()
@@ -184,27 +192,43 @@ def noisy(log: jm.Log, kind: Noise, seed: int) -> jm.Log:
     if kind == "realistic":
         deviation = np.array([REALISTIC.get(name, np.nan) for name, own in SENSORS.items() for _ in own])
         channels = channels + deviation * rng.standard_normal(channels.shape)
-    elif kind in ("text", "listing"):
+    elif kind in ("white", "coloured"):
+        size = np.repeat([REALISTIC["velocity"], REALISTIC["rate"]], 3)
+        off = rng.standard_normal(nu.shape)
+        if kind == "coloured":
+            kept = np.exp(-DT / MEMORY)
+            off[1:] *= np.sqrt(1.0 - kept**2)
+            slow = scipy.signal.lfilter([1.0], [1.0, -kept], off, axis=0)
+            off = np.sqrt(0.5) * (slow + rng.choice([-1.0, 1.0], 6))
+        channels[:, 6:12] = nu + size * off
+        channels[:, :3] = np.nan
+    elif kind in ("text", "tenth", "listing"):
         share = np.array([0.5] * 3 + [0.05] * 3)
-        size = 1.0 if kind == "text" else np.abs(nu_dot)
-        nu_share = 1e-3 if kind == "text" else 0.1
+        size = {"text": 1.0, "tenth": 0.1, "listing": np.abs(nu_dot)}[kind]
+        nu_share = 0.1 if kind == "listing" else 1e-3
         channels[:, 12:] = nu_dot + share * size * rng.uniform(-1.0, 1.0, nu_dot.shape)
         channels[:, 6:12] = nu * (1.0 + nu_share * rng.uniform(-1.0, 1.0, nu.shape))
         channels[:, :3] = np.nan
     else:
-        raise ValueError(f"Argument `kind` must be text, listing or realistic, but is {kind!r}.")
+        raise ValueError(f"Argument `kind` must be one of {get_args(Noise)}, but is {kind!r}.")
     return dataclasses.replace(log, channels=channels)
 
 
 def forces(vehicle: jm.Vehicle, log: jm.Log) -> Float[np.ndarray, "times 6"]:
     """tau - g(eta) at each sample [N, N m], from commands and logged attitude; propulsion and g are known."""
+    return np.array(_forces(vehicle, *map(jnp.asarray, (log.t, log.commands, log.channels[:, 3:6]))))
+
+
+# As one program: run piece by piece, what loops over the samples is compiled anew each time.
+@eqx.filter_jit
+def _forces(vehicle: jm.Vehicle, t, commands, attitudes) -> Float[Array, "times 6"]:
     plant = vehicle.plant()
-    _, at = inputs(plant, jnp.asarray(log.t), jnp.asarray(log.commands), jnp.zeros((len(log.t), 6)))
+    _, at = inputs(plant, t, commands, jnp.zeros((len(t), 6)))
 
     def one(attitude, thrust):
         return plant.allocation @ thrust - plant.load.restoring(rotation(from_euler(attitude))[2])
 
-    return np.array(jax.vmap(one)(jnp.asarray(log.channels[:, 3:6]), at.thrust))
+    return jax.vmap(one)(attitudes, at.thrust)
 
 
 def noisy_forces(force: Float[np.ndarray, "times 6"], kind: Noise, seed: int) -> Float[np.ndarray, "times 6"]:
