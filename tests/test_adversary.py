@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from experiments.adversary import BLAMED, NOTHING, REFUSED, Trick, is_honest
+from experiments.adversary import BLAMED, NOTHING, REFUSED, Trick, fresh_tricks, is_honest
 
 CONTRADICTED = "u, v contradict what positions and attitude show, whatever forces act: check them."
 TAKEN_FIRST = "Positions, attitude and velocities contradict one another as gyro_bias would make them."
@@ -59,3 +61,31 @@ def test_answers_kept_without_the_sentence_have_it_among_their_notes(note):
     kept = said("nothing_found", notes=[note])
     del kept["contradicted"]
     assert is_honest(Trick("", (BLAMED,)), kept) and not is_honest(Trick("", (NOTHING,)), kept)
+
+
+def test_fresh_tricks_do_what_they_say():
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, 150.0, 0.1)
+    columns = ("x", "y", "psi", "u", "v", "r", "port", "star", "bow")
+    log = pd.DataFrame({"t": t} | {name: rng.uniform(-1.0, 1.0, len(t)) for name in columns})
+    made = {name: trick.logs((log, log), rng)[0] for name, trick in fresh_tricks().items()}
+    changed = {
+        name: {c for c in log if len(one) != len(log) or not np.array_equal(one[c], log[c])}
+        for name, one in made.items()
+    }
+    assert changed.pop("gap") == {"t", *columns} and changed.pop("weak at first") == set()
+    assert changed == {
+        "frozen": {"v"},
+        "mirrored": {"v"},
+        "fast clock": {"t"},
+        "degrees of yaw": {"r"},
+        "coarse commands": {"port", "star", "bow"},
+        "turned compass": {"psi"},
+        "unlogged thruster": {"bow"},
+        "dropouts": {"u"},
+    }
+    assert np.diff(made["gap"]["t"]).max() == pytest.approx(40.1) and len(made["gap"]) == len(log) - 400
+    stuck = made["frozen"]["v"][(t >= 50.0) & (t < 110.0)]
+    assert stuck.nunique() == 1 and made["frozen"]["v"].nunique() == len(log) - 599
+    assert set(np.unique(4 * made["coarse commands"]["port"])) == set(range(-4, 5))
+    assert (made["dropouts"]["u"] == 0.0).mean() == pytest.approx(1 / 97, rel=0.1)

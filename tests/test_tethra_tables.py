@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments import tethra_tables
+from experiments._study import decided
 from experiments.thesis import plant
 
 from .conftest import ROOT
@@ -81,6 +82,21 @@ def test_claims_are_decided_by_their_pairs():
     # One that has diverged counts as the worse.
     ahead[3, 1] = np.inf
     assert tethra_tables.claims(parts(ahead))[0]["wins"] == 12
+
+
+def test_claims_of_one_family_are_corrected_after_holm():
+    """Of m claims the least p counts m times, the next m - 1 times, and none less than the one before."""
+    rng = np.random.default_rng(1)
+    pairs = {
+        f"claim {k}": [(float(x), 1.0) for x in np.exp(rng.normal(-push, 1.0, size=12))]
+        for k, push in enumerate((1.5, 1.0, 0.7, 0.1))
+    }
+    found = decided(pairs)
+    p = np.array([one["p"] for one in found])
+    order = np.argsort(p)
+    by_hand = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)), 1.0)
+    assert [found[k]["p_holm"] for k in order] == pytest.approx(by_hand)
+    assert {one["verdict"] for one in found} == {"holds", "undecided"}
 
 
 def test_the_page_says_what_was_found():
