@@ -29,6 +29,7 @@ from experiments.blind.outside import on
 from experiments.blind.plant import Effect, Outside
 from experiments.blind.vehicle import Array, load
 
+HERE = Path(__file__).parent / "tricks"
 SHIP = "cybership2"
 TRAIN, TEST = 300.0, 150.0
 WEAK = Effect("thruster_gain", "port", {"factor": 0.6})
@@ -248,6 +249,8 @@ def answered(folder: Path) -> dict[str, Any]:
         found = jm.diagnose(vehicle, train, test)
     except jm.InputError as error:
         return {"refused": str(error)}
+    except Exception as error:  # what a user would see as a traceback is an answer that fooled it
+        return {"crashed": repr(error)}
     labels = [f.label for f in found.findings]
     return {
         "verdict": found.verdict,
@@ -275,6 +278,8 @@ def blamed(said: dict[str, Any]) -> bool:
 
 def is_honest(trick: Trick, said: dict[str, Any]) -> bool:
     """Whether nothing is said but what is honest."""
+    if "crashed" in said:
+        return False
     if "refused" in said:
         return REFUSED in trick.honest
     if blamed(said) and BLAMED not in trick.honest:
@@ -290,7 +295,9 @@ def table(results: dict[str, Any]) -> str:
     for one in results.values():
         said = one["said"]
         words = [*said.get("names", []), *(f"unknown:{axis}" for axis in said.get("unknown", []))]
-        text = ", ".join(words) or said.get("verdict", "refused").replace("_", " ")
+        text = ", ".join(words) or said.get("verdict", "crashed" if "crashed" in said else "refused").replace(
+            "_", " "
+        )
         if blamed(said):
             text += f", {BLAMED}"
         if said.get("depends_on"):

@@ -1,12 +1,16 @@
 """How answers to logs with tricks are graded, on answers made by hand: no diagnosis is run."""
 
+import json
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from experiments import adversary
 from experiments.adversary import BLAMED, NOTHING, REFUSED, Trick, fresh_tricks, is_honest
+
+from .conftest import ROOT
 
 CONTRADICTED = "u, v contradict what positions and attitude show, whatever forces act: check them."
 TAKEN_FIRST = "Positions, attitude and velocities contradict one another as gyro_bias would make them."
@@ -84,8 +88,22 @@ def test_fresh_tricks_do_what_they_say():
         "unlogged thruster": {"bow"},
         "dropouts": {"u"},
     }
-    assert np.diff(made["gap"]["t"]).max() == pytest.approx(40.1) and len(made["gap"]) == len(log) - 400
-    stuck = made["frozen"]["v"][(t >= 50.0) & (t < 110.0)]
-    assert stuck.nunique() == 1 and made["frozen"]["v"].nunique() == len(log) - 599
-    assert set(np.unique(4 * made["coarse commands"]["port"])) == set(range(-4, 5))
-    assert (made["dropouts"]["u"] == 0.0).mean() == pytest.approx(1 / 97, rel=0.1)
+    values = {name: {c: np.asarray(one[c]) for c in log} for name, one in made.items()}
+    gap, stuck = values["gap"]["t"], values["frozen"]["v"]
+    assert np.diff(gap).max() == pytest.approx(40.1) and len(gap) == len(log) - 400
+    assert len(np.unique(stuck[(t >= 50.0) & (t < 110.0)])) == 1
+    assert len(np.unique(stuck)) == len(log) - 599
+    assert set(np.unique(4 * values["coarse commands"]["port"])) == set(range(-4, 5))
+    assert np.mean(values["dropouts"]["u"] == 0.0) == pytest.approx(1 / 97, rel=0.1)
+
+
+def test_the_page_says_what_fresh_tricks_got():
+    found = json.loads((adversary.HERE / "results.json").read_text())
+    for name, trick in fresh_tricks().items():
+        assert found[name]["fair"] == is_honest(trick, found[name]["said"])
+    assert found.keys() == fresh_tricks().keys()
+    assert adversary.table(found) in (ROOT / "experiments" / "README.md").read_text()
+
+
+def test_a_traceback_is_no_honest_answer():
+    assert not is_honest(Trick("", (NOTHING, REFUSED)), {"crashed": "LinAlgError()"})
