@@ -396,10 +396,14 @@ class Plant(eqx.Module):
         """The motion of masses inside over each hold, if there are any; their columns are the last."""
         if not self.masses:
             return None
+        return tuple(one.moves(t, part) for one, part in self.told(commands))
+
+    def told(self, commands: Float[Array, "*times columns"]) -> list[tuple[AbstractMasses, Array]]:
+        """Masses inside, each with its own columns."""
         first = self.drive.max_thrust.shape[-1]
         ends = np.cumsum([first, *(len(one.columns) for one in self.masses)]).tolist()
-        parts = [commands[:, begin:end] for begin, end in itertools.pairwise(ends)]
-        return tuple(one.moves(t, part) for one, part in zip(self.masses, parts, strict=True))
+        parts = [commands[..., begin:end] for begin, end in itertools.pairwise(ends)]
+        return list(zip(self.masses, parts, strict=True))
 
     def _moving(self, drive: Input) -> tuple[tuple[AbstractMasses, Any], ...]:
         """Masses inside with their motion; none where the input has them at rest."""
@@ -414,7 +418,7 @@ class Plant(eqx.Module):
 
     def mobility(self, drive: Input) -> Matrix6:
         """The inverse of the mass matrix under the given input, zero on locked axes."""
-        if not self.masses or drive.moving is None:
+        if not self._moving(drive):
             return self.inverse_mass
         return _inverse_mass(self.carried(drive), self.free)
 

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import pydantic
@@ -31,6 +31,8 @@ _SYMMETRY = 1e-6
 _CURVED = (-1.0, 2.0)
 _WIDEST_COMMENT = 108
 _SHARE = "a positive number, a share of the value"
+
+_Sort = TypeVar("_Sort", bound=AbstractKind)
 
 
 class Environment(Table):
@@ -351,13 +353,12 @@ class _VehicleFile(Table):
             out.append(Swivels.of(self.thruster))
         if any(one.nominal_voltage is not None for one in self.thruster):
             out.append(Supply.of(self.thruster))
-        out += [one for one in self._made if isinstance(one, AbstractActuators)]
-        return tuple(out)
+        return *out, *self._made(AbstractActuators)
 
     @property
     def masses(self) -> tuple[AbstractMasses, ...]:
         """Those that move inside, kind by kind."""
-        return tuple(one for one in self._made if isinstance(one, AbstractMasses))
+        return self._made(AbstractMasses)
 
     def _tables_of(self, kind: type[AbstractKind]) -> tuple[Any, ...]:
         those = getattr(self, kind.key)
@@ -365,10 +366,10 @@ class _VehicleFile(Table):
             return those
         return () if those is None else (those,)
 
-    @property
-    def _made(self) -> list[AbstractKind]:
-        tables = [(kind, self._tables_of(kind)) for kind in self.kinds]
-        return [kind.of(those) for kind, those in tables if those]
+    def _made(self, sort: type[_Sort]) -> tuple[_Sort, ...]:
+        """Those of the file's kinds that are of one sort."""
+        tables = [(kind, self._tables_of(kind)) for kind in self.kinds if issubclass(kind, sort)]
+        return tuple(kind.of(those) for kind, those in tables if those)
 
     @property
     def drive_names(self) -> tuple[str, ...]:

@@ -99,7 +99,7 @@ class Bench(Workbench):
         promised = cost + (self.far if max_steps <= _settle.FEW_STEPS else 0.0)
         return dataclasses.replace(model, z=z, cost=cost, promised=promised)
 
-    def refine_each(self, models, max_steps=25, rtol=1e-6):
+    def refine_each(self, models, max_steps=25, rtol=1e-6, times=0):
         return [self.refine(model, max_steps) for model in models]
 
     def screen(self, model):
@@ -494,7 +494,9 @@ def test_a_stand_in_saves_less_than_a_finding_must_beside_what_it_stood_in_for(
     """Of two members, in units of what a finding must save where its scores scatter as noise does."""
     monkeypatch.setattr(_unnamed, "cost_of_removal", lambda k, where, found: [LEAST * x for x in beside])
     scattered = dict(zip((BASE, BASE + 1), scatter, strict=True))
-    monkeypatch.setattr(_unnamed, "_scatter_beside", lambda k, where, found: scattered[where.start])
+    monkeypatch.setattr(
+        _unnamed, "_scatters_beside", lambda k, where, found: [scattered[one.start] for one in where]
+    )
     bench = Bench({})
     now = judged_as(bench.fit(4, 5))
     assert _unnamed._stand_in(bench, now, (dependence(),)) == which
@@ -514,7 +516,7 @@ def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
         "cost_of_removal",
         lambda k, where, found: [shares[i] for i in (4, 5, 6)[: len(where)]],
     )
-    monkeypatch.setattr(_unnamed, "_scatter_beside", lambda k, where, found: 1.0)
+    monkeypatch.setattr(_unnamed, "_scatters_beside", lambda k, where, found: [1.0 for _ in where])
     answer = _unnamed.with_unknown(bench, judged_as(bench.fit(4, 5, 6)), False, lambda words: None)
     assert answer.dropped == (Dropped("6", STOOD_IN), Dropped("5", NEEDLESS))
     assert suspects(answer.model) == [4] and len(answer.unknown) == 1
@@ -626,19 +628,22 @@ def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(
     monkeypatch.setattr(
         _diagnose, "gain_at_home", lambda bench, model, dense, terms=(): home if terms else 0.9
     )
+    predicted: Any = object.__new__(Predictions)
     monkeypatch.setattr(
         _diagnose,
         "measured_gain",
-        lambda bench, model, changed, terms, tests: (gain(away if terms else 0.8, (0.5, 1.5)), None),
+        lambda bench, model, changed, terms, tests: (gain(away if terms else 0.8, (0.5, 1.5)), predicted),
     )
     answer = Answer(judged_as(bench.fit(4)), (dependence(0), dependence(1, shapes=0)), False)
     test = (a_log(100),)
-    terms, notes = _diagnose._learned(bench, answer, test, lambda words: None)
+    terms, measured, notes = _diagnose._learned(bench, answer, True, test, lambda words: None)
+    # By what the extended vehicle then has, where something was left to measure.
+    assert (measured and measured[0].ratio) == (away if kept else 0.8 if home < 0.9 else None)
     assert len(terms) == kept and all(one.target == "surge" for one in terms)
     assert notes[0].startswith("sway: much more is missing where u, psi is large")
     assert [note.startswith("What was learned of it predicts") for note in notes[1:]] == [True] * (1 - kept)
     known = dataclasses.replace(answer, unknown=())
-    assert _diagnose._learned(bench, known, test, lambda words: None) == ((), [])
+    assert _diagnose._learned(bench, known, True, test, lambda words: None) == ((), None, [])
 
 
 WORSE, UNSURE = "predicts test.csv worse than the file does", "does not confirm this"

@@ -30,7 +30,7 @@ from jaxmarine.diagnosis._unknown import (
     nats_beside,
     size_only,
 )
-from jaxmarine.diagnosis._unnamed import _scatter_beside
+from jaxmarine.diagnosis._unnamed import _scatters_beside
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2
@@ -479,10 +479,9 @@ def test_a_member_is_worth_what_it_saves_beside_dependences_by_scores_without_th
     assert dense[0] > 50.0 > 5.0 > dense[1]
     assert acting(k, found).stats.chi2.sum() == pytest.approx(least, rel=1e-4)
     # Of 60 windows or so; without the dependence, what it explains scatters the scores.
-    for where in members:
-        assert _scatter_beside(k, where, found) == pytest.approx(1.0, abs=0.5)
+    assert _scatters_beside(k, members, found) == pytest.approx([1.0, 1.0], abs=0.5)
     without = dataclasses.replace(found[0], features=np.zeros((*SHAPE, 0)))
-    assert _scatter_beside(k, members[1], (without,)) > 2.0
+    assert _scatters_beside(k, members, (without,))[1] > 2.0
 
 
 @pytest.mark.parametrize("size", [0.0, 0.15])

@@ -6,6 +6,7 @@ that `load_vehicle(..., kinds=(*KINDS, Yours))` is told of.
 """
 
 from ._base import AbstractActuators as AbstractActuators
+from ._base import AbstractHull as AbstractHull
 from ._base import AbstractKind as AbstractKind
 from ._base import AbstractMasses as AbstractMasses
 from ._base import Flow as Flow

@@ -125,6 +125,36 @@ class AbstractActuators(AbstractKind):
         """The wrench on the hull at `o`, body axes [N, N m]."""
 
 
+def _none() -> Float[Array, " none"]:
+    return jnp.zeros(0)
+
+
+class AbstractHull(AbstractActuators):
+    """What the flow does to the hull, which nobody commands: it has no column, no state and no stream."""
+
+    delay: Float[Array, " none"] = eqx.field(default_factory=_none, kw_only=True)
+    lag: Float[Array, " none"] = eqx.field(default_factory=_none, kw_only=True)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def limits(self) -> Float[np.ndarray, " columns"]:
+        return np.zeros(0)
+
+    @property
+    def usual(self) -> Float[np.ndarray, "columns 2"]:
+        return np.zeros((0, 2))
+
+    def servo(self) -> Drive:
+        return servo(_none(), self.delay, self.lag)
+
+    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
+        del state, flow
+        return {}
+
+
 class AbstractMasses(AbstractKind):
     """All masses of one kind that commands move inside the vehicle.
 

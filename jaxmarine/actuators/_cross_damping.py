@@ -13,8 +13,7 @@ from pydantic import Field
 from .._files import did_you_mean
 from .._tables import Number, Table
 from .._types import DOFS, Wrench
-from ..physics import Drive
-from ._base import AbstractActuators, Flow, Stream, servo
+from ._base import AbstractHull, Flow
 
 
 def _dof(value: Any) -> str:
@@ -40,7 +39,7 @@ class CrossDampingTable(Table):
         return f"{self.axis}<-|{self.size}|{self.velocity}"
 
 
-class CrossDamping(AbstractActuators):
+class CrossDamping(AbstractHull):
     r"""$\tau_i = -d\, |\nu_j|\, \nu_k$ of the velocity through the water, a term per table. No column.
 
     Of a ship these are $Y_{|r|v}$, $Y_{|v|r}$, $N_{|r|v}$, $N_{|v|r}$, of a torpedo also those of heave and
@@ -55,8 +54,6 @@ class CrossDamping(AbstractActuators):
     table: ClassVar[type[Table]] = CrossDampingTable
 
     value: Float[Array, " terms"]
-    delay: Float[Array, " none"]
-    lag: Float[Array, " none"]
     names: tuple[str, ...] = eqx.field(static=True)
     # Of each term the axis that is braked, that of the size, and that of the velocity.
     places: tuple[tuple[int, int, int], ...] = eqx.field(static=True)
@@ -65,8 +62,6 @@ class CrossDamping(AbstractActuators):
     def of(cls, tables: Sequence[Any]) -> Self:
         return cls(
             value=jnp.array([one.value for one in tables], float),
-            delay=jnp.zeros(0),
-            lag=jnp.zeros(0),
             names=tuple(one.name for one in tables),
             places=tuple(
                 (DOFS.index(one.axis), DOFS.index(one.size), DOFS.index(one.velocity)) for one in tables
@@ -80,28 +75,9 @@ class CrossDamping(AbstractActuators):
             for those, value in zip(self.places, self.value, strict=True)
         ]
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def limits(self) -> Float[np.ndarray, " columns"]:
-        return np.zeros(0)
-
-    @property
-    def usual(self) -> Float[np.ndarray, "columns 2"]:
-        return np.zeros((0, 2))
-
     def typical(self, braking: Float[np.ndarray, "6"]) -> Mapping[str, np.ndarray]:
         """The geometric mean of the three axes' own damping, which has a term's unit."""
         return {"value": np.cbrt(braking[np.array(self.places)].prod(axis=1))}
-
-    def servo(self) -> Drive:
-        return servo(*(jnp.zeros(0),) * 3)
-
-    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
-        del state, flow
-        return {}
 
     def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
         del state

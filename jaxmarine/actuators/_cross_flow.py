@@ -11,8 +11,7 @@ from pydantic import Field
 
 from .._tables import Number, Table
 from .._types import Wrench
-from ..physics import Drive
-from ._base import AbstractActuators, Flow, Stream, servo
+from ._base import AbstractHull, Flow
 
 # Exact while the flow has one sign along the hull; where it turns within, off by a part in a hundred at most.
 _AT, _WEIGHT = np.polynomial.legendre.leggauss(8)
@@ -26,7 +25,7 @@ class CrossFlowTable(Table):
     coefficient: Number = Field(ge=0, description="a number not below zero")
 
 
-class CrossFlow(AbstractActuators):
+class CrossFlow(AbstractHull):
     r"""Strip theory: $Y = -\frac12 \rho d C \int |v + x r| (v + x r) dx$, N with x inside. It has no column.
 
     Source: after Fossen (2021), on cross-flow drag; Faltinsen (1990).
@@ -40,37 +39,16 @@ class CrossFlow(AbstractActuators):
     length: Float[Array, " one"]
     draft: Float[Array, " one"]
     coefficient: Float[Array, " one"]
-    delay: Float[Array, " none"]
-    lag: Float[Array, " none"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
     def of(cls, tables: Sequence[Any]) -> Self:
         (table,) = tables
         numbers = {key: jnp.array([getattr(table, key)], float) for key in ("length", "draft", "coefficient")}
-        return cls(**numbers, delay=jnp.zeros(0), lag=jnp.zeros(0), names=("cross_flow",))
+        return cls(**numbers, names=("cross_flow",))
 
     def tables(self) -> list[dict[str, Any]]:
         return [{key: float(getattr(self, key)[0]) for key in ("length", "draft", "coefficient")}]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def limits(self) -> Float[np.ndarray, " columns"]:
-        return np.zeros(0)
-
-    @property
-    def usual(self) -> Float[np.ndarray, "columns 2"]:
-        return np.zeros((0, 2))
-
-    def servo(self) -> Drive:
-        return servo(*(jnp.zeros(0),) * 3)
-
-    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
-        del state, flow
-        return {}
 
     def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
         del state

@@ -12,8 +12,7 @@ from pydantic import Field
 
 from .._tables import Number, Table, finite
 from .._types import Wrench
-from ..physics import Drive
-from ._base import AbstractActuators, Flow, Stream, servo
+from ._base import AbstractHull, Flow
 
 # A hull that turns about a point within it has a turn r L / U beyond any measured one. There the polynomials
 # are those of this share of the turning speed r L.
@@ -48,7 +47,7 @@ class HullPolynomialTable(Table):
     )
 
 
-class HullPolynomial(AbstractActuators):
+class HullPolynomial(AbstractHull):
     r"""Polynomials of $v' = v / U$ and $r' = r L / U$, $U^2 = u^2 + v^2$, of the flow at `o`. No column.
 
     $X = \frac12 \rho L d U^2 (-R_0 + X_{vv} v'^2 + X_{vr} v' r' + X_{rr} r'^2 + X_{vvvv} v'^4)$,
@@ -74,8 +73,6 @@ class HullPolynomial(AbstractActuators):
     surge: Float[Array, "5"]
     sway: Float[Array, "6"]
     yaw: Float[Array, "6"]
-    delay: Float[Array, " none"]
-    lag: Float[Array, " none"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @classmethod
@@ -83,30 +80,11 @@ class HullPolynomial(AbstractActuators):
         (table,) = tables
         one = {key: jnp.array([getattr(table, key)], float) for key in ("length", "draft")}
         several = {axis: jnp.array(getattr(table, axis), float) for axis in _AXES}
-        return cls(**one, **several, delay=jnp.zeros(0), lag=jnp.zeros(0), names=("hull",))
+        return cls(**one, **several, names=("hull",))
 
     def tables(self) -> list[dict[str, Any]]:
         one = {key: float(getattr(self, key)[0]) for key in ("length", "draft")}
         return [one | {axis: tuple(np.asarray(getattr(self, axis)).tolist()) for axis in _AXES}]
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def limits(self) -> Float[np.ndarray, " columns"]:
-        return np.zeros(0)
-
-    @property
-    def usual(self) -> Float[np.ndarray, "columns 2"]:
-        return np.zeros((0, 2))
-
-    def servo(self) -> Drive:
-        return servo(*(jnp.zeros(0),) * 3)
-
-    def streams(self, state: Float[Array, " columns"], flow: Flow) -> dict[str, Stream]:
-        del state, flow
-        return {}
 
     def wrench(self, state: Float[Array, " columns"], flow: Flow) -> Wrench:
         del state

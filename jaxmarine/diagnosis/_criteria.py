@@ -9,8 +9,7 @@ class Criteria:
     """When a diagnosis says something. All else that it computes is a likelihood or a measurement.
 
     - `odds`: that a name, or an unknown dependence, needs against none, after it has paid for its parameters
-      and for how many there were to choose from. 150 to 1 is "very strong"
-      after Kass and Raftery (1995).
+      and for how many there were to choose from. 150 to 1 is "very strong" after Kass and Raftery (1995).
     - `apart`: odds below which two causes are not told apart, and at which what the model does not expect
       counts as no noise: "strong", after the same.
     - `file_error`: by what share coefficients of a vehicle file are commonly off, where its table `[prior]`

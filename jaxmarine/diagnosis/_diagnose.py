@@ -74,12 +74,13 @@ def diagnose(
         answer, rounds = _chosen(bench, rival, found, progress)
         answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
     model, now = answer.model, answer.judged
-    terms, unlearned = _learned(bench, answer, opened.tests, progress)
+    # Where nothing is found the file is what is measured, even if its coefficients were refitted.
+    changed = bool(model.members or opened.exchanged or (answer.dense and answer.unknown))
+    terms, learned, unlearned = _learned(bench, answer, changed, opened.tests, progress)
+    changed = changed or bool(terms)
     extended = unsupplied(extended_by(bench, model, answer.dense).place(*terms), vehicle)
     progress(PREDICTING)
-    # Where nothing is found the file is what is measured, even if its coefficients were refitted.
-    changed = bool(model.members or terms or opened.exchanged or (answer.dense and answer.unknown))
-    measured = measured or measured_gain(bench, model, changed, terms, opened.tests)
+    measured = measured or learned or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
     connected = bench.as_connected() if opened.exchanged else bench
     findings = _exchanges(connected, now, opened.exchanged) + findings_of(bench, now, rounds, std)
@@ -229,11 +230,14 @@ def _worthwhile(
 
 
 def _learned(
-    bench: Workbench, answer: Answer, tests: Sequence[Log], progress: Progress
-) -> tuple[tuple[Placed, ...], list[str]]:
-    """Networks for what is unknown, where they are of use, and notes where there are none."""
+    bench: Workbench, answer: Answer, changed: bool, tests: Sequence[Log], progress: Progress
+) -> tuple[tuple[Placed, ...], tuple[Gain, Predictions] | None, list[str]]:
+    """Networks for what is unknown, where they are of use, the gain where it was asked for, and notes.
+
+    - `changed`: there is something to predict with beside them.
+    """
     if not answer.unknown:
-        return (), []
+        return (), None, []
     progress(LEARNING)
     learned = learn(answer.judged.knots, answer.unknown, bench.vehicle.drive_names)
     terms = tuple(Placed(term, term.target) for term in learned)
@@ -250,12 +254,15 @@ def _learned(
     if terms and gain_at_home(*home, terms) > gain_at_home(*home):
         terms = ()
         notes.append("What was learned of it predicts the training log worse than nothing; it was left out.")
-    if terms:
-        ratio = measured_gain(bench, answer.model, True, terms, tests)[0].ratio
-        if ratio > measured_gain(bench, answer.model, answer.changed, (), tests)[0].ratio:
-            terms, names = (), together([test.name for test in tests])
-            notes.append(f"What was learned of it predicts {names} worse than nothing; it was left out.")
-    return terms, notes
+    if not terms:
+        return (), None, notes
+    measured = measured_gain(bench, answer.model, True, terms, tests)
+    without = measured_gain(bench, answer.model, changed, (), tests)
+    if measured[0].ratio > without[0].ratio:
+        names = together([test.name for test in tests])
+        notes.append(f"What was learned of it predicts {names} worse than nothing; it was left out.")
+        return (), without, notes
+    return terms, measured, notes
 
 
 def _exchanges(connected: Workbench, now: Judged, exchanged: Sequence[Placed]) -> tuple[Finding, ...]:

@@ -115,8 +115,15 @@ def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice,
     A disturbance that pushes one axis more than the others scatters the scores of what acts there, and so
     does what a few windows pull one way and the rest another.
     """
-    ratios = dispersions(stats, *_split(bench, model, where))
-    return max(phi, float(ratios.mean())) if len(ratios) else phi
+    return mean_dispersion(stats, *_split(bench, model, where), phi)
+
+
+def mean_dispersion(
+    stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray, least: float
+) -> float:
+    """Of the scores of all own columns that say more than the known ones; `least` at least."""
+    ratios = dispersions(stats, own, known, precision)
+    return max(least, float(ratios.mean())) if len(ratios) else least
 
 
 def shortlist(
@@ -183,6 +190,11 @@ def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | 
     return bench.with_member(model, member, begin)
 
 
+def _refined_each(bench: Workbench, models: Sequence[Model], steps: int, times: int = 0) -> list[Model]:
+    """Models refined roughly, the last member of each on the best of its stairs."""
+    return [bench.climbed(one, steps, ROUGH, True) for one in bench.refine_each(models, steps, ROUGH, times)]
+
+
 def _trials(
     bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
 ) -> list[Trial]:
@@ -202,9 +214,7 @@ def _refitted(
 ) -> list[Trial]:
     """A few steps for all suspects, more for those that may win."""
     begun = [_joined(bench, model, member, value) for member, value in starts]
-    refitted = [
-        bench.climbed(one, FEW_STEPS, ROUGH, True) for one in bench.refine_each(begun, FEW_STEPS, ROUGH)
-    ]
+    refitted = _refined_each(bench, begun, FEW_STEPS)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
@@ -319,7 +329,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
     begun = [_joined(bench, model, member, value) for member, value in starts]
-    rough = [bench.climbed(one, FEW_STEPS, ROUGH, True) for one in bench.refine_each(begun, FEW_STEPS, ROUGH)]
+    rough = _refined_each(bench, begun, FEW_STEPS)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     best = max([t.saved for t in trials], default=0.0)
@@ -327,7 +337,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
     members = [*(t.member for t in hopeful), *hidden]
     begun = [t.model for t in hopeful] + [_joined(bench, quick, one, None) for one in hidden]
-    refitted = [bench.climbed(one, STEPS, ROUGH, True) for one in bench.refine_each(begun, STEPS, ROUGH, 1)]
+    refitted = _refined_each(bench, begun, STEPS, 1)
     trials = rest + [trial_of(model, member, one) for member, one in zip(members, refitted, strict=True)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 

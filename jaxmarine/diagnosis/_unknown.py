@@ -438,9 +438,7 @@ def cost_of_removal(k: Knots, members: list[slice], found: tuple[Dependence, ...
 
 def acting(k: Knots, found: tuple[Dependence, ...]) -> Knots:
     """The statistics once dependences act as the logs say, known numbers refitted with them."""
-    wrenches = _wrenches(k, found)
-    size = np.sqrt((wrenches**2).mean(axis=(0, 1, 2)))
-    return k.beside(wrenches / np.maximum(size, 1e-300), UNPULLED)
+    return k.beside(_normalised(k, found), UNPULLED)
 
 
 def likely(k: Knots, found: tuple[Dependence, ...], criteria: Criteria = DEFAULT) -> tuple[Dependence, ...]:
@@ -494,9 +492,14 @@ def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
 
 def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the known numbers and of the shapes, each of mean square one."""
+    return _beside(k, _normalised(k, found))
+
+
+def _normalised(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
+    """The dependences' regressors as wrenches at the knots, each of mean square one on its axis."""
     wrenches = _wrenches(k, found)
     size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
-    return _beside(k, wrenches / np.maximum(size, 1e-300))
+    return wrenches / np.maximum(size, 1e-300)
 
 
 def lagged(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:

@@ -19,7 +19,7 @@ from ._knots import Knots
 from ._model import Beside, Model, Workbench
 from ._result import Dropped
 from ._score import Reduced
-from ._search import dispersion, dispersions, nats, needed
+from ._search import dispersion, mean_dispersion, nats, needed
 from ._settle import pruned
 from ._signals import Signals
 from ._unknown import (
@@ -216,21 +216,20 @@ def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) ->
     """The member that unknown dependences leave least to, if that is less than a finding must save."""
     if not unknown or not now.model.members:
         return None
-    costs = cost_of_removal(now.knots, bench.slices(now.model.members), unknown)
-    least = [
-        needed(bench, member, _scatter_beside(now.knots, where, unknown))
-        for member, where in zip(now.model.members, bench.slices(now.model.members), strict=True)
-    ]
-    more = np.array(costs) - least
+    members, slices = now.model.members, bench.slices(now.model.members)
+    scatters = _scatters_beside(now.knots, slices, unknown)
+    least = [needed(bench, member, phi) for member, phi in zip(members, scatters, strict=True)]
+    more = np.array(cost_of_removal(now.knots, slices, unknown)) - least
     worst = int(np.argmin(more))
     return worst if more[worst] < 0 else None
 
 
-def _scatter_beside(k: Knots, where: slice, unknown: tuple[Dependence, ...]) -> float:
-    """Dispersion of the scores of a member, `where` its parameters lie in z, once dependences have acted."""
-    after, z = acting(k, unknown).stats, np.arange(k.width)
-    mine = (z >= where.start) & (z < where.stop)
-    known = np.eye(k.width)
+def _scatters_beside(k: Knots, members: list[slice], unknown: tuple[Dependence, ...]) -> list[float]:
+    """Dispersion of the scores of members, where their parameters lie in z, once dependences have acted."""
+    after, z, columns = acting(k, unknown).stats, np.arange(k.width), np.eye(k.width)
     stats = Reduced(after.chi2, after.g[:, : k.width], after.h[:, : k.width, : k.width])
-    ratios = dispersions(stats, known[:, mine], known[:, ~mine], k.precision[~mine])
-    return max(1.0, float(ratios.mean())) if len(ratios) else 1.0
+    out = []
+    for where in members:
+        mine = (z >= where.start) & (z < where.stop)
+        out.append(mean_dispersion(stats, columns[:, mine], columns[:, ~mine], k.precision[~mine], 1.0))
+    return out

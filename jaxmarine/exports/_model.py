@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY, Scalar, Vector3, Velocity, Wrench
-from ..actuators import AbstractMasses
 from ..physics import UNLIMITED, Asked, Late, from_euler, to_euler
 from ..simulation import hold, substeps
 from ..vehicle import Input, Plant, State, Vehicle
@@ -77,7 +76,7 @@ class Model(eqx.Module):
         memory = jnp.zeros(6 * len(self.plant.memories))
         slow = self.asked(command, jnp.ones(())).goal[0][np.array(self.slow, int)]
         parts = [position, from_euler(attitude), velocity, memory, slow]
-        parts += [one.rest(own) for one, own in self._told(command)]
+        parts += [one.rest(own) for one, own in self.plant.told(command)]
         return jnp.concatenate(parts)
 
     def step(self, state: Flat, command: Command, wrench: Wrench, t: Scalar, dt: Scalar) -> Flat:
@@ -143,18 +142,10 @@ class Model(eqx.Module):
             else goal
         )
 
-    def _told(self, command: Command) -> list[tuple[AbstractMasses, Array]]:
-        """Masses inside, each with its own part of the command."""
-        out, begin = [], len(self.columns)
-        for one in self.plant.masses:
-            out.append((one, command[begin : begin + len(one.columns)]))
-            begin += len(one.columns)
-        return out
-
     def _moving(self, state: Float[Array, " masses"], command: Command, t: Scalar) -> tuple[Any, ...]:
         """How masses inside move from their state on."""
         out, begin = [], 0
-        for one, own in self._told(command):
+        for one, own in self.plant.told(command):
             end = begin + len(one.state_names)
             out.append(one.held(state[begin:end], own, t))
             begin = end

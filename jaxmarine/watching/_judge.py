@@ -149,7 +149,8 @@ class Judge:
             self.undecided = ()
             return []
         nats, member, own = weighed[0]
-        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > nats - Criteria().close]
+        least = nats - Criteria().close
+        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > least]
         if close:
             both = (self.label(member.suspect), *close)
             if {*both} == {*self.undecided}:
