@@ -46,6 +46,8 @@ from jaxmarine.vehicle import Damping, Placed, Thrusters
 from jaxmarine.vehicle_io import suspect_named
 from tests.boats import NOISE, boat, record, steps
 
+# Where a test is not about the catalogue: a thruster, and the coefficients of the file. Quick to compile.
+FEW = (ThrusterGain, LinearDamping, QuadraticDamping, AddedMass)
 NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
                        for f in dataclasses.fields(Thrusters)})  # fmt: skip
 
@@ -54,7 +56,7 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     """A thruster at half its thrust, in a log of known noise that the file does not state."""
     craft = boat(sensors={})
     weak = craft.place(Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0]))))
-    bench = workbench(craft, (record(weak, steps(900)),), CATALOGUE, None)
+    bench = workbench(craft, (record(weak, steps(900)),), FEW, None)
     begun = bench.start()
     raised = rescaled(bench, begun)
     assert raised.raised and sharpened(raised, raised.fitted(begun)) is None  # nothing found, no news
@@ -218,7 +220,7 @@ def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypat
     """Every third window of a log in which a thruster is weak: its factor, and three times what it saves."""
     weak = Placed(place(suspect_named(boat(), "thruster_gain", "port"), boat(), {"factor": 0.7}), "port")
     log = record(boat().place(weak), steps())
-    bench = workbench(boat(), (log,), (ThrusterGain, LinearDamping, QuadraticDamping, AddedMass), None)
+    bench = workbench(boat(), (log,), FEW, None)
     which = next(i for i, one in enumerate(bench.layout.suspects) if one.label == "thruster_gain:port")
     model = bench.refine(bench.start())
     starts = [(Member(which), None)]
@@ -253,7 +255,7 @@ def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():
     kept = np.sort(np.random.default_rng(0).permutation(600)[:450])
     blank = Log(0.1 * kept, np.full((450, 18), np.nan), steps(600)[kept], None, stiff.thruster_names, "-")
     true = np.asarray(simulate(stiff, blank, initial_state(stiff)).channels)
-    bench = workbench(stiff, (dataclasses.replace(blank, channels=true),), CATALOGUE, None)
+    bench = workbench(stiff, (dataclasses.replace(blank, channels=true),), FEW, None)
     assert bench.data.hold == pytest.approx(np.diff(blank.t).max())
     found = bench.refine(bench.frozen(bench.start()))
     residual = predict(bench.problem(()), jnp.asarray(bench.theta(found)), found.delta)[1][: bench.count]
@@ -261,7 +263,14 @@ def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():
     assert np.sqrt((np.asarray(residual) ** 2).mean(axis=(0, 1)))[:12].max() < 0.01
 
 
-@pytest.mark.parametrize(("start", "stuck"), [(0.3, True), (0.75, True), (1.1, False)])
+@pytest.mark.parametrize(
+    ("start", "stuck"),
+    [
+        (0.75, True),
+        pytest.param(0.3, True, marks=pytest.mark.slow),
+        pytest.param(1.1, False, marks=pytest.mark.slow),
+    ],
+)
 def test_a_late_command_is_found_over_the_steps_that_accelerometers_show(start, stuck):
     """New commands at each sample, of which an accelerometer shows the one that acts then: 0.82 s late."""
     craft = boat(sensors=NOISE | {"acceleration": 0.02})
