@@ -261,6 +261,32 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
 
 
+def test_a_log_with_a_gap_is_two_logs(disturbed):
+    """Sixty seconds are twenty memories: what is known of the disturbance behind them is nothing."""
+    bench, _ = disturbed
+    (log,), samples = bench.data.logs, round(bench.data.length / 0.1)
+    first = 20 * samples
+
+    def rows(kept: np.ndarray) -> Log:
+        return dataclasses.replace(log, t=log.t[kept], channels=log.channels[kept], wrench=log.wrench[kept])
+
+    before, after = np.arange(first), np.arange(first + 600, len(log.t))
+
+    def screened(logs: tuple[Log, ...]):
+        on = bench.on(logs)
+        model = on.refine(on.disturbed(on.frozen(on.start())))
+        # What a window without a next one does over a gap is of no use, and may grow beyond all bounds.
+        assert np.asarray(on._path(model, model.beside)[1].line.dt).max() == pytest.approx(0.1)
+        return on.screen(model)
+
+    one, two = screened((rows(np.r_[before, after]),)), screened((rows(before), rows(after)))
+    for name in ("chi2", "g", "h"):
+        ours, theirs = np.asarray(getattr(one, name)), np.asarray(getattr(two, name))
+        # The first windows begin where samples were smoothed, without those on the other side of the gap: a
+        # twentieth of a nat.
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=0.05)
+
+
 def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     """That of the screening where the log is the training's own, and less with sizes that are too large."""
     bench, model = disturbed

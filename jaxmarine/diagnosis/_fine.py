@@ -62,11 +62,12 @@ class Fine:
         windows = split(data, parts)
         log, step = np.asarray(windows.log), np.asarray(windows.step)
         count, most = windows.count, room.windows * parts
+        hold = np.asarray(data.records.hold)
         gap, joined = np.full(most, _LONG), np.zeros(most, bool)
         for w in range(1, count):
             if log[w] == log[w - 1]:
-                t = data.logs[log[w]].t
-                gap[w] = t[step[w, 0]] - t[step[w - 1, -1] + 1]
+                t, last = data.logs[log[w]].t, step[w - 1, -1]
+                gap[w] = t[step[w, 0]] - (t[last] + hold[log[w], last])
                 joined[w] = w % parts > 0
         records, windows = dataclasses.replace(room, windows=most).filled(data.records, windows)
         axes = np.flatnonzero(vehicle.free)

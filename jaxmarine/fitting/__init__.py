@@ -136,6 +136,7 @@ from ._weights import largest as largest
 from ._weights import overdispersion as overdispersion
 from ._weights import scaled as scaled
 from ._weights import settled as settled
+from ._windows import GAP as GAP
 from ._windows import Cut as Cut
 from ._windows import Records as Records
 from ._windows import Room as Room

@@ -208,7 +208,7 @@ def tracks_of(
 ) -> Track:
     """The tracks of some windows, stacked; thrust, masses inside and fluid memory are of all logs."""
     records, log, step = problem.records, windows.log[:, None], windows.step
-    t, dt = records.t[log, step], records.dt[log, step]
+    t, dt = records.t[log, step], records.hold[log, step]
     commands = records.commands[log, step, : push.mean.shape[-1]]
     wrench = records.wrench[log, step]
     common = (commands, wrench if windows.wrench is None else wrench + windows.wrench[:, None], t)

@@ -14,15 +14,21 @@ from .._types import AXES
 from ..logs import Log, StateTrack, alike, quaternions_of, smooth_states
 from ..vehicle import Vehicle
 
+# Times from sample to sample after which a log has a gap: more than five samples are missing.
+GAP = 5.5
+
 
 class Records(eqx.Module):
     """The whole logs on one time grid each, padded at the end to a common length.
 
-    `attitude` and `velocity` (body axes) are smoothed: lagged states at a window's start come from them.
+    - `dt`: from each sample to the next [s]; `hold`: for how long a window goes on after it, which is the
+      same but where none spans the gap behind it.
+    - `attitude`, `velocity` (body axes) are smoothed: lagged states at a window's start come from them.
     """
 
     t: Float[Array, "logs steps"]
     dt: Float[Array, "logs steps"]
+    hold: Float[Array, "logs steps"]
     commands: Float[Array, "logs steps columns"]
     wrench: Float[Array, "logs steps 6"]
     attitude: Float[Array, "logs steps 4"]
@@ -154,8 +160,8 @@ def cut(
     for g, log in enumerate(logs):
         track = smooth_states(log, vehicle.dof)
         segment = np.zeros(len(log.t), int) if segments is None else segments[g]
-        records.append(_recorded(vehicle, log, track, segment, longest))
-        begins = _begins(vehicle, log, size, jump, 5.5 * dt)
+        records.append(_recorded(vehicle, log, track, segment, longest, dt))
+        begins = _begins(vehicle, log, size, jump, GAP * dt)
         seen = _weighed(vehicle, log, track, noise)
         windows.append(_window_parts(g, begins, size, track, *seen))
         starts.append(log.t[begins])
@@ -194,9 +200,9 @@ def _check_sampling(logs: Sequence[Log], dt: float, length: float) -> None:
 
 
 def _recorded(
-    vehicle: Vehicle, log: Log, track: StateTrack, segment: np.ndarray, longest: int
+    vehicle: Vehicle, log: Log, track: StateTrack, segment: np.ndarray, longest: int, dt: float
 ) -> dict[str, np.ndarray]:
-    """One log's row of all `Records`, padded to so many samples."""
+    """One log's row of all `Records`, padded to so many samples; `dt` [s]: that of most of them."""
     t, short = log.t, longest - len(log.t)
     steps = np.diff(t, append=2 * t[-1] - t[-2])
 
@@ -209,6 +215,7 @@ def _recorded(
     return {
         "t": np.concatenate([t, t[-1] + steps[-1] * np.arange(1, short + 1)]),
         "dt": pad(steps),
+        "hold": pad(np.where(steps > GAP * dt, dt, steps)),
         "commands": pad(np.asarray(commands)),
         "wrench": pad(np.asarray(wrench)),
         "attitude": pad(quaternions_of(track.attitude)),

@@ -48,8 +48,6 @@ WINDOW = 4.0
 PAST = 10.0
 # From one stretch without a gap to the next: many times any memory [s].
 LONG = 1e6
-# A hold longer than this many samples is a gap, as in a diagnosis.
-GAP = 5.5
 # Rows before and behind those of a block by which velocities are smoothed [s].
 AROUND = 0.5
 
@@ -203,9 +201,11 @@ class Bench:
         kept = len(t) - len(near.t)
         attitude = np.concatenate([np.repeat(track.attitude[:1], kept, axis=0), track.attitude])
         velocity = np.concatenate([np.repeat(track.nu[:1], kept, axis=0), track.nu])
+        dt = jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None])
         records = Records(
             t=jnp.asarray(t[None]),
-            dt=jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None]),
+            dt=dt,
+            hold=dt,
             commands=jnp.asarray(filled(rows.commands)[None]),
             wrench=jnp.asarray(filled(rows.wrench)[None]),
             attitude=jnp.asarray(quaternions_of(attitude)[None]),

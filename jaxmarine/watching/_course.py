@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from .._types import MOTION
-from ..fitting import Windowed
-from ._blocks import GAP, LONG, Begun, Bench, Rows
+from ..fitting import GAP, Windowed
+from ._blocks import LONG, Begun, Bench, Rows
 
 
 class Course:
