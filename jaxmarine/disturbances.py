@@ -10,7 +10,7 @@ from ._types import DOFS
 
 @dataclasses.dataclass(frozen=True)
 class RandomWrench:
-    """A Gauss-Markov wrench on the hull in body axes, and a swell: the same with a period.
+    """A Gauss-Markov wrench on the hull in body axes, a swell (the same with a period), and a current.
 
     Each axis has its own; what acts on two axes at once is not described. Source: after Fossen (2021), on
     shaping filters for slowly varying forces and for waves.
@@ -19,6 +19,8 @@ class RandomWrench:
       forgets all but 1/e, read where something acts.
     - `swell` [6]: standard deviation of the swell [N, N m]; `period` [s]; `swell_memory` [s]: how long it
       stays in step with itself.
+    - `current`: standard deviation of the water's velocity to the north and to the east [m/s], each;
+      `current_memory` [s].
     """
 
     size: Float[np.ndarray, "6"]
@@ -26,8 +28,12 @@ class RandomWrench:
     swell: Float[np.ndarray, "6"] = dataclasses.field(default_factory=lambda: np.zeros(6))
     period: float | None = None
     swell_memory: float | None = None
+    current: float = 0.0
+    current_memory: float | None = None
 
-    def draw(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 6"]:
+    def draw(
+        self, t: Float[np.ndarray, " times"], seed: int | np.random.SeedSequence
+    ) -> Float[np.ndarray, "times 6"]:
         """One course of it over the times of a log [s], as `simulate` takes it for `push`.
 
         Exact between samples, however far apart they are. The first value is a draw too: it has been blowing.
@@ -49,6 +55,13 @@ class RandomWrench:
             out[k] = now
         return out.real.reshape(len(t), -1, 6).sum(axis=1)
 
+    def draw_current(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 3"]:
+        """One course of the water's velocity, as `simulate` takes it for `water`."""
+        memory = self.current_memory or 1.0
+        level = np.array([self.current, self.current, 0, 0, 0, 0])
+        # Another seed than that of the wrench: the two do not go together.
+        return RandomWrench(level, np.full(6, memory)).draw(t, np.random.SeedSequence([seed, 1]))[:, :3]
+
     def to_json(self) -> dict:
         """What `diagnosis.json` holds of it: of each axis on which it acts, and of the swell, if any."""
         axes = {}
@@ -61,4 +74,9 @@ class RandomWrench:
             if len(one) > 1:
                 axes[dof] = one
         period = {"period_s": self.period, "swell_memory_s": self.swell_memory}
-        return {"axes": axes} | (period if self.period is not None else {})
+        current = {"size_m_s": self.current, "memory_s": self.current_memory}
+        return (
+            {"axes": axes}
+            | (period if self.period is not None else {})
+            | ({"current": current} if self.current_memory is not None else {})
+        )

@@ -82,7 +82,7 @@ def _rates(t, y: Float[Array, " numbers"], args: tuple[Plant, Input]):
     plant, drive = args
     # Commands are held; the thrust of a slow thruster changes within the hold, and waves go on.
     thrust = drive.thrust if drive.slope is None else drive.thrust + drive.slope * (t - drive.middle)
-    drive = Input(thrust, drive.command, drive.wrench, t, moving=drive.moving)
+    drive = Input(thrust, drive.command, drive.wrench, t, moving=drive.moving, water=drive.water)
     return _flat(plant.rates(_unflat(y), drive))
 
 
@@ -247,7 +247,7 @@ def _slopes(plant: Plant, state: State) -> tuple[Array, Array]:
     return jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
 
 
-def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
+def inputs(plant: Plant, t: Times, commands, wrench, water=None) -> tuple[Input, Input]:
     """The inputs over each hold and at each sample.
 
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
@@ -258,23 +258,23 @@ def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
     push = thrust(drive, t, commands)
     middle = t + 0.5 * step_lengths(t)
-    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving)
-    return over, Input(push.instant, commands, wrench, t, moving=moving)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving, water)
+    return over, Input(push.instant, commands, wrench, t, moving=moving, water=water)
 
 
 @eqx.filter_jit
 def _roll_out(
-    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, solver, split, width: int
+    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, water, solver, split, width: int
 ):
     plants = jax.vmap(vehicle.plant)(acting)
     # Masses inside are no effects: they are the same in all segments.
     sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), masses=vehicle.masses)
-    over, at = inputs(sampled, t, commands, wrench)
+    over, at = inputs(sampled, t, commands, wrench, water)
 
     def step(state, now):
         index, over, at, dt, split = now
         plant = jax.tree.map(lambda a: a[index], plants)
-        shown = plant.readings(state, plant.acceleration(state, at), width)
+        shown = plant.amid(at.water).readings(state, plant.acceleration(state, at), width)
         if solver is None:
             after = hold(plant, state, over, dt, split)
         else:
@@ -307,6 +307,7 @@ def simulate(
     earlier: tuple[str, ...] = (),
     push: Float[np.ndarray, "times 6"] | None = None,
     sensors: Sequence[str] = (),
+    water: Float[np.ndarray, "times 3"] | None = None,
 ) -> Trajectory:
     """Simulates the vehicle from `start` under the commands (or control wrench) of a log.
 
@@ -316,6 +317,7 @@ def simulate(
     - `earlier`: names of logs recorded before the effects with `since` began.
     - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands, held from sample to
       sample: what disturbs it, such as a draw of a `RandomWrench`.
+    - `water`: velocity of the water [m/s, north, east, down] beside the vehicle's own, held likewise.
     - `sensors`: kinds to show beside those of every log and of this one: "water_velocity", "specific_force".
     """
     unknown = [kind for kind in sensors if kind not in ALL_SENSORS]
@@ -339,6 +341,7 @@ def simulate(
         jnp.asarray(log.t),
         commands,
         wrench,
+        None if water is None else jnp.asarray(water),
         solver,
         jnp.asarray(split),
         max(log.channels.shape[1], asked_for),

@@ -97,7 +97,8 @@ class Input(eqx.Module):
     shaft speed, angle, deflection.
 
     Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `moving` is
-    the motion of masses inside, one of each kind; None: they rest where the file has them.
+    the motion of masses inside, one of each kind; None: they rest where the file has them. `water` is a
+    velocity of the water [m/s] NED beside the plant's own, None where there is none.
     """
 
     thrust: Float[Array, " columns"]
@@ -107,6 +108,7 @@ class Input(eqx.Module):
     slope: Float[Array, " columns"] | None = None
     middle: Float[Array, ""] | None = None
     moving: tuple[Any, ...] | None = None
+    water: Vector3 | None = None
 
 
 class Body(eqx.Module):
@@ -392,6 +394,10 @@ class Plant(eqx.Module):
         flow = apply(rotation(attitude).T, self.current)
         return (velocity - jnp.concatenate([flow, jnp.zeros(3)])) * self.free
 
+    def amid(self, water: Vector3 | None) -> "Plant":
+        """The plant in water that moves by so much more [m/s] NED."""
+        return self if water is None else dataclasses.replace(self, current=self.water + water)
+
     def moves(self, t: Times, commands: Float[Array, "times columns"]) -> tuple[Any, ...] | None:
         """The motion of masses inside over each hold, if there are any; their columns are the last."""
         if not self.masses:
@@ -442,6 +448,8 @@ class Plant(eqx.Module):
         of the added mass uses the symmetric part of its matrix, which alone has kinetic energy. Masses that
         move inside add their `reaction`, and M_RB and g have them where they are.
         """
+        if drive.water is not None:
+            return self.amid(drive.water).balance(state, nu_dot, dataclasses.replace(drive, water=None))
         load = self.carried(drive)
         motion = self._motion(state, drive)
         relative_dot = nu_dot
@@ -514,7 +522,7 @@ class Plant(eqx.Module):
     def rates(self, state: State, drive: Input) -> State:
         """Time derivative of the state."""
         if self.has_memory:
-            relative = self.relative(state.attitude, state.velocity)
+            relative = self.amid(drive.water).relative(state.attitude, state.velocity)
             memory = (self.for_each_memory(relative) - state.memory) / self.memory_lag()
         else:
             memory = jnp.zeros_like(state.memory)

@@ -1,9 +1,13 @@
 """Draws of a random wrench: against the correlation that its memory and period say."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxmarine as jm
+from jaxmarine.effects import SteadyCurrent
 from jaxmarine.logs import Log
 from tests.boats import boat
 
@@ -54,6 +58,33 @@ def test_a_push_moves_the_craft_as_a_wrench_of_the_log_does():
     np.testing.assert_allclose(pushed.channels, same.channels, atol=1e-12)
     calm = jm.simulate(boat(), blank, jm.initial_state(boat()))
     assert np.abs(np.asarray(calm.channels) - np.asarray(pushed.channels)).max() > 1e-3
+
+
+def test_water_that_moves_steadily_is_a_steady_current():
+    t = np.arange(50) * 0.1
+    blank = Log(
+        t, np.full((50, 18), np.nan), None, np.tile([10.0, 2.0, 0, 0, 0, 1.0], (50, 1)), (), "log.csv"
+    )
+    current = np.array([0.3, -0.2, 0.0])
+    filed = boat().place(jm.Placed(SteadyCurrent(*map(jnp.asarray, current))))
+    start = jm.initial_state(boat(), attitude=(0, 0, 0.5))
+    moving = jm.simulate(boat(), blank, start, water=np.tile(current, (50, 1)), sensors=("water_velocity",))
+    steady = jm.simulate(filed, blank, start, sensors=("water_velocity",))
+    np.testing.assert_allclose(moving.channels, steady.channels, atol=1e-12)
+
+
+def test_a_current_has_its_size_and_memory():
+    """Alike to the north and to the east, and not the wrench of the same seed."""
+    wanders = dataclasses.replace(GUSTS, current=0.1, current_memory=30.0)
+    t = np.arange(0.0, 60000.0, 2.0)
+    drawn = wanders.draw_current(t, 4)
+    assert drawn.shape == (len(t), 3) and (drawn[:, 2] == 0).all()
+    error = 4 * np.sqrt(2 * 2 * 30.0 / np.ptp(t))
+    assert drawn[:, :2].var(axis=0) == pytest.approx([0.01, 0.01], rel=error)
+    later = (drawn[15:, :2] * drawn[:-15, :2]).mean(axis=0) / 0.01
+    assert later == pytest.approx(np.full(2, np.exp(-1)), abs=error)
+    assert abs(np.corrcoef(drawn[:, 0], wanders.draw(t, 4)[:, 0])[0, 1]) < error
+    assert wanders.to_json()["current"] == {"size_m_s": 0.1, "memory_s": 30.0}
 
 
 def test_what_is_written_names_the_axes_that_are_pushed():

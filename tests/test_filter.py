@@ -13,9 +13,10 @@ from jaxmarine._types import SENSORS
 from jaxmarine.diagnosis._innovations import remembered
 from jaxmarine.diagnosis._model import SLOTS, Model, Workbench
 from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping
 from jaxmarine.fitting import _filter
-from jaxmarine.fitting._filter import Disturbance, Line, Windowed
+from jaxmarine.fitting._filter import FLOW, Disturbance, Line, Logarithms, Windowed
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from tests.boats import NOISE, boat, steps
@@ -24,24 +25,32 @@ STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
 SPREAD = np.full(12, 0.7)
 
 
-def windows_of(joined: list[bool], gap: list[float], swells: bool = False) -> tuple[Windowed, Disturbance]:
+def windows_of(
+    joined: list[bool], gap: list[float], swells: bool = False, flows: bool = False
+) -> tuple[Windowed, Disturbance]:
     """Some random windows: linear systems with states of 13 numbers that change in 12 ways."""
     count, rng = len(joined), np.random.default_rng(3)
 
     def normal(*shape, scale=1.0):
         return jnp.asarray(scale * rng.normal(size=(count, *shape)))
 
+    size, time, frequency = [0.8, 1.7], [0.9, 3.0], [0.0, 0.0]
+    if swells:
+        size, time, frequency = [*size, 1.1, 0.6], [*time, 2.0, 2.0], [*frequency, 1.3, 1.3]
+    if flows:
+        size, time, frequency = [*size, 0.7], [*time, 1.5], [*frequency, 0.0]
     force = Disturbance(
-        size=jnp.array([0.8, 1.7, 1.1, 0.6] if swells else [0.8, 1.7]),
-        time=jnp.array([0.9, 3.0, 2.0, 2.0] if swells else [0.9, 3.0]),
-        frequency=jnp.array([0.0, 0.0, 1.3, 1.3] if swells else [0.0, 0.0]),
+        size=jnp.array(size),
+        time=jnp.array(time),
+        frequency=jnp.array(frequency),
         gap=jnp.asarray(gap),
         joined=jnp.asarray(joined),
         axes=(0, 5),
+        flows=flows,
     )
     line = Line(
-        f=normal(STEPS, 13, 13 + AXES, scale=0.3),
-        h=normal(STEPS, ROWS, 13 + AXES, scale=0.5),
+        f=normal(STEPS, 13, 13 + AXES + FLOW, scale=0.3),
+        h=normal(STEPS, ROWS, 13 + AXES + FLOW, scale=0.5),
         residual=normal(STEPS, ROWS, COLUMNS),
         dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
         begin=normal(13, 12),
@@ -69,7 +78,10 @@ def joined_up(every: Windowed, force: Disturbance):
 
 
 def left(force: Disturbance, dt: float) -> np.ndarray:
-    """From the disturbance's states to those some time later: decay, and turns of the swell's pairs."""
+    """From the disturbance's states to those some time later: decay, and turns of the swell's pairs.
+
+    The water's two velocities are no pair: they decay alike, and do not turn.
+    """
     blocks = [np.atleast_2d(np.exp(-dt / t)) for t in np.asarray(force.time)[:AXES]]
     for time, frequency in zip(
         np.asarray(force.time)[AXES:], np.asarray(force.frequency)[AXES:], strict=True
@@ -85,7 +97,9 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
     """
     size = np.asarray(force.size)
     states = np.concatenate([np.arange(AXES), np.repeat(np.arange(AXES, len(size)), 2)])
-    output = np.concatenate([np.eye(AXES), np.kron(np.eye(AXES), [[1, 0]])], axis=1)[:, : len(states)]
+    pairs = [np.kron(np.eye(AXES), [[1, 0]])] if force.swells else []
+    water = np.eye(FLOW) if force.flows else np.zeros((FLOW, 0))
+    output = block_diag(np.concatenate([np.eye(AXES), *pairs], axis=1), water)
 
     def new(stays: np.ndarray) -> np.ndarray:
         """The root of what is new where so much stays: sizes stay as they are."""
@@ -125,7 +139,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(seen), b @ b.T + np.eye(len(b))
 
 
-@pytest.mark.parametrize("swells", [False, True])
+@pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, False), (False, True), (True, True)])
 @pytest.mark.parametrize(
     ("joined", "gap"),
     [
@@ -135,9 +149,9 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         ([False, False, True], [1e6, 1e6, 0.0]),
     ],
 )
-def test_the_filter_is_the_dense_gaussian(joined, gap, swells):
+def test_the_filter_is_the_dense_gaussian(joined, gap, swells, flows):
     """Windows that go on, begin anew, follow after a gap, and belong to another log."""
-    every, force = windows_of(joined, gap, swells)
+    every, force = windows_of(joined, gap, swells, flows)
     information, log_det = joined_up(every, force)
     seen, covariance = dense(every, force)
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
@@ -155,6 +169,15 @@ def test_a_disturbance_of_no_size_is_none():
     seen, covariance = dense(every, still)
     assert np.linalg.matrix_rank(covariance - np.eye(len(covariance)), tol=1e-9) <= 12
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, False), (False, True), (True, True)])
+def test_sizes_and_memories_come_back_from_their_logarithms(swells, flows):
+    _, force = windows_of([False], [1e6], swells, flows)
+    meaning, unit = Logarithms(AXES), np.array([20.0, 3.0])
+    again = meaning.set(force, jnp.asarray(unit), jnp.asarray(meaning.of(force, unit)))
+    for name in ("size", "time", "frequency"):
+        np.testing.assert_allclose(getattr(again, name), getattr(force, name), rtol=1e-12)
 
 
 # --- along the path of a craft ---------------------------------------------------------------------
@@ -288,7 +311,7 @@ def test_a_log_with_a_gap_is_two_logs(disturbed):
 
 
 def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
-    """That of the screening where the log is the training's own, and less with sizes that are too large."""
+    """That of the screening where the log is the training's own; weather counts for nothing, damping does."""
     bench, model = disturbed
     again, own = bench.on(bench.data.logs), bench.screen(model).chi2.sum() / bench.samples
     # Starts are followed from the samples anew: paths differ by less than a thousandth of a number's noise.
@@ -296,7 +319,10 @@ def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     beside = model.beside
     force = dataclasses.replace(beside.force, size=3 * beside.force.size)
     larger = dataclasses.replace(model, beside=dataclasses.replace(beside, force=force))
-    assert again.log_score(larger) < again.log_score(model) - 0.01
+    assert again.log_score(larger) == pytest.approx(again.log_score(model), abs=1e-3)
+    place = next(i for i, c in enumerate(bench.base) if c.kind == "damping.linear" and c.place == (0, 0))
+    braked = dataclasses.replace(model, z=model.z + 20.0 * (np.arange(len(model.z)) == place))
+    assert again.log_score(braked) < again.log_score(model) - 0.01
 
 
 def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
@@ -312,6 +338,34 @@ def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
     lacking = dataclasses.replace(model, beside=dataclasses.replace(beside, force=small))
     found = remembered(bench, lacking)
     assert found is not None and found.on is None and found.channel in ("u", "v", "r", "x", "y", "psi")
+
+
+def test_a_current_is_told_from_wrenches():
+    """Its size and memory within three standard errors, and where the water went; wrenches hardly stay."""
+    rng, dt, size, memory = np.random.default_rng(8), 0.1, 0.15, 20.0
+    wanders = RandomWrench(np.zeros(6), np.ones(6), current=size, current_memory=memory)
+    samples = round(LENGTH / dt)
+    given = np.zeros((samples, 6))
+    given[:, [0, 1, 5]] = steps(samples, seed=2, hold=40) * [40.0, 20.0, 8.0]
+    t = dt * np.arange(samples)
+    water = wanders.draw_current(t, 3)
+    blank = Log(t, np.full((samples, 18), np.nan), None, given, (), "log.csv")
+    shown = np.asarray(simulate(boat(), blank, initial_state(boat()), water=water).channels)
+    noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
+    log = dataclasses.replace(blank, channels=shown + noise * rng.normal(size=shown.shape))
+    bench, pushed = estimated_on(log)
+    model = bench.amid_more(pushed)
+    force = model.beside.force
+    assert force.kind == (False, True) and model.cost < pushed.cost - bench.criteria.nats
+    # Of 2 * 240 s / (2 * 20 s) independent values: 30 % of a size, and more of a memory.
+    assert float(force.size[-1]) == pytest.approx(size, rel=0.9)
+    assert abs(np.log(float(force.time[-1]) / memory)) < 1.5
+    assert np.all(np.asarray(force.size[:3]) < 0.5 * np.asarray(pushed.beside.force.size))
+    middle = np.asarray(bench.fine.problem.windows.step)[: bench.fine.count].mean(axis=1)
+    expected = np.asarray(model.beside.path.push)[: bench.fine.count, -FLOW:]
+    went = water[middle.astype(int), :2]
+    later = slice(20, None)  # ten seconds after which something is known
+    assert np.sqrt(((expected - went)[later] ** 2).mean()) < 0.5 * went[later].std()
 
 
 def test_where_nothing_disturbs_sizes_go_to_zero():

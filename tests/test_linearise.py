@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jaxmarine._types import CHANNELS
-from jaxmarine.effects import CATALOGUE, AbstractEffect, FluidMemory, SensorEffect
+from jaxmarine.effects import CATALOGUE, AbstractEffect, FluidMemory, LinearDamping, SensorEffect
 from jaxmarine.fitting import (
     Affine,
     Cut,
@@ -30,8 +30,10 @@ from jaxmarine.fitting import (
 )
 from jaxmarine.fitting._affine import FEW, Columns
 from jaxmarine.fitting._rollout import fluid_memory
-from jaxmarine.simulation import simulate
+from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Input, Placed, Plant, State, Vehicle
+from tests.boats import boat, steps
 from tests.crafts import independent, log_of, packaged, random_commands, random_start
 
 DT, LENGTH = 0.05, 2.0
@@ -140,6 +142,7 @@ def by_forward_mode(problem, theta, acts, delta):
 
 
 # Six axes take a minute to compile, three have all that can go wrong but the coupling of six.
+THRUSTERS = ("port", "starboard", "bow")
 THREE_AXES = ("cybership2", 3, 2)
 CASES = [pytest.param("tethra", 1, 1, marks=pytest.mark.slow), THREE_AXES]
 
@@ -321,6 +324,43 @@ def test_a_screening_sums_groups_of_windows_and_has_a_free_wrench():
         # As the derivatives by z above.
         assert (np.abs(h_own[w, 3:, 3:] - exact) <= 0.02 * np.outer(bound, bound) + 1e-12).all()
     assert np.linalg.norm(by_wrench, axis=(0, 1)).max() > 1.0
+
+
+def test_what_moving_water_does_is_that_of_forward_mode():
+    """Each window in a current of its own, through a speed that is shown relative to the water as well."""
+    vehicle, samples, water = boat(), 120, np.array([0.2, -0.1, 0.0])
+    blank = Log(
+        0.1 * np.arange(samples), np.full((samples, 18), np.nan), steps(samples), None, THRUSTERS, "a"
+    )
+    start, sensors = initial_state(vehicle, attitude=(0, 0, 0.7)), ("water_velocity",)
+    flow = np.tile(water, (samples, 1))
+    shown = np.asarray(simulate(vehicle, blank, start, water=flow, sensors=sensors).channels)
+    data = cut(vehicle, [dataclasses.replace(blank, channels=shown)], np.full(shown.shape[1], 0.01), LENGTH)
+    problem = saturated_problem(vehicle, (LinearDamping.neutral(vehicle),), data)
+    apart = np.random.default_rng(2).normal(size=(data.windows.count, 2)) * 0.2
+    affine = Affine(jnp.zeros((1, 6)), jnp.eye(6), jnp.ones((1, 6)))
+    assert set(problem.channels) >= {18, 19}  # of the speed through the water, level
+
+    def amid(level):
+        return dataclasses.replace(problem, windows=dataclasses.replace(problem.windows, water=level))
+
+    @eqx.filter_jit
+    def along(level):
+        sweep, windows = _rows.Sweep.of(amid(level), affine, 0), amid(level).windows
+        push = sweep.driven.begun
+        return jax.vmap(sweep.rows)(sweep.rolled(windows, jnp.zeros((windows.count, 12)), push))
+
+    def residuals(level):
+        return predict(amid(level), affine.theta, jnp.zeros((data.windows.count, 12)))[1]
+
+    rows, given, seen = along(jnp.asarray(apart)), np.arange(len(apart)), np.array(problem.channels)
+    residual = np.asarray(residuals(jnp.asarray(apart)))[..., seen]
+    np.testing.assert_allclose(rows.residual, residual, atol=1e-9 * np.abs(residual).max())
+    exact = np.asarray(jax.jacfwd(residuals)(jnp.asarray(apart)))[given, ..., given, :][:, :, seen]
+    found, size = np.asarray(rows.jacobian)[..., -2:], np.abs(exact).max(axis=(0, 1, 3))
+    assert (size > 0).all()
+    # As the derivatives by z above.
+    assert (np.abs(found - exact).max(axis=(0, 1, 3)) < 0.02 * size).all()
 
 
 def test_each_fluid_memory_of_a_log_is_that_which_is_alone():

@@ -15,7 +15,7 @@ from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
 from ._criteria import DEFAULT, Criteria
-from ._disturbed import in_words, known
+from ._disturbed import in_words, known, without_current
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
 from ._gain import HORIZON
 from ._innovations import remembered
@@ -91,7 +91,8 @@ def diagnose(
     if not now.white:
         axes = {one.target for one in unexplained}
         both, steerable = (vehicle, extended), criteria.steerable
-        unexplained += excesses(missing, both, logs, now.plain_phi, axes, bench.quiet, steerable)
+        beyond = without_current(missing, bench, model, extended)
+        unexplained += excesses(beyond, both, logs, now.plain_phi, axes, bench.quiet, steerable)
     missed = _missed(bench, now.model)
     disturbance = None if model.beside is None else known(model.beside.force)
     verdicts: dict[tuple[bool, bool], Verdict] = {

@@ -1,10 +1,20 @@
 """What disturbs a craft, as it was estimated, and in words."""
 
-import numpy as np
+import dataclasses
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
+
+from .._compiled import compiled
 from .._types import DOFS
 from ..disturbances import RandomWrench
-from ..fitting import Disturbance
+from ..fitting import FLOW, Disturbance
+from ..vehicle import Input, Plant, State, Vehicle
+from ._model import Model, Workbench
+from ._result import MissingWrench
 
 
 def known(force: Disturbance) -> RandomWrench:
@@ -16,11 +26,52 @@ def known(force: Disturbance) -> RandomWrench:
         out[axes] = np.asarray(values)
         return out
 
-    own = on_all(force.size[:count]), on_all(force.time[:count])
-    if not force.swells:
-        return RandomWrench(*own)
-    period, memory = 2 * np.pi / float(force.frequency[-1]), float(force.time[-1])
-    return RandomWrench(*own, on_all(force.size[count:]), period, memory)
+    out = RandomWrench(on_all(force.size[:count]), on_all(force.time[:count]))
+    if force.swells:
+        period, memory = 2 * np.pi / float(force.frequency[count]), float(force.time[count])
+        swell = on_all(force.size[count : 2 * count])
+        out = dataclasses.replace(out, swell=swell, period=period, swell_memory=memory)
+    if force.flows:
+        out = dataclasses.replace(out, current=float(force.size[-1]), current_memory=float(force.time[-1]))
+    return out
+
+
+def without_current(
+    missing: MissingWrench, bench: Workbench, model: Model, vehicle: Vehicle
+) -> MissingWrench:
+    """The missing wrench without what the current does to the hull beside which a model stands.
+
+    That is as the current was expected by all that was measured before, along the motion that was measured.
+    It takes away what is missing in its direction, no more: windows that begin with any sway hide a part.
+
+    - `vehicle`: that on which it acts.
+    """
+    places = bench.places
+    if model.beside is None or not model.beside.force.flows:
+        return missing
+    parts = bench.fine.parts
+    level = np.asarray(model.beside.path.push)[: bench.fine.count, -FLOW:]
+    level = np.repeat(level, places.t.shape[1] // parts, axis=0)
+    water = np.pad(level, ((0, 0), (0, 1)))
+    turns = Rotation.from_matrix(places.rotation.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    drag = np.asarray(_dragged(vehicle.plant(), turns, places.velocity.reshape(-1, 6), water))
+    sign = np.sign(missing.wrench)
+    left = np.abs(missing.wrench) - np.clip(sign * drag, 0.0, np.abs(missing.wrench))
+    return dataclasses.replace(missing, wrench=sign * left)
+
+
+@compiled
+def _dragged(plant: Plant, attitude, velocity, water) -> Float[Array, "times 6"]:
+    """The wrench that moving water adds; thrusters at rest."""
+    columns = plant.drive.max_thrust.shape[-1]
+    still = Input(jnp.zeros(columns), jnp.zeros(columns), jnp.zeros(6), jnp.zeros(()))
+
+    def one(attitude, velocity, water):
+        state = State(jnp.zeros(3), attitude, velocity, jnp.zeros(6 * len(plant.memories)))
+        flowing = dataclasses.replace(still, water=water)
+        return plant.balance(state, jnp.zeros(6), still) - plant.balance(state, jnp.zeros(6), flowing)
+
+    return jax.vmap(one)(attitude, velocity, water)
 
 
 def in_words(force: RandomWrench) -> str:
@@ -32,8 +83,13 @@ def in_words(force: RandomWrench) -> str:
         if size > 0
     )
     said = f"What disturbs the craft besides was estimated (standard deviations): {pushes}"
-    if force.period is None:
-        return said + "."
-    each = zip(DOFS, units, force.swell, strict=True)
-    swell = ", ".join(f"{size:.2g} {unit} in {name}" for name, unit, size in each if size > 0)
-    return f"{said}; and a swell of {force.period:.2g} s: {swell}."
+    if force.period is not None:
+        each = zip(DOFS, units, force.swell, strict=True)
+        swell = ", ".join(f"{size:.2g} {unit} in {name}" for name, unit, size in each if size > 0)
+        said += f"; and a swell of {force.period:.2g} s: {swell}"
+    if force.current_memory is not None:
+        said += (
+            f"; and a current that wanders by {force.current:.2g} m/s to the north and to the east with a "
+            f"memory of {force.current_memory:.2g} s"
+        )
+    return f"{said}."

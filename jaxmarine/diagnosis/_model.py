@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import AXES, DOFS, POSES
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, WaterEffect
 from ..fitting import (
     LEAST_DAMPING,
     USUAL_MEMORY,
@@ -33,6 +33,7 @@ from ..fitting import (
     Task,
     Windowed,
     coefficient_name,
+    count_of,
     cut,
     estimated,
     evaluated,
@@ -51,7 +52,9 @@ from ..fitting import (
     segments,
     start_precision,
     start_spread,
+    unusual,
     whitened,
+    with_current,
     with_swell,
     wrapped,
 )
@@ -91,6 +94,8 @@ UNLEARNED = 0.25
 STAIRS = 20
 # Times that windows are followed, each time from where the one before lets one expect them to begin.
 PASSES = 3
+# Times that the disturbance of logs is looked at which a model is scored on: as it was, and estimated twice.
+WEATHERS = 3
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -155,7 +160,7 @@ class Model:
       noise of the stated size would make them: that much more is left to bend to, and means nothing.
     - `frozen`: whether the file's coefficients are held at their values; `held`: those that are in any case.
     - `beside`: the disturbance beside which it is refined, None for white noise alone. With it `cost` is half
-      of minus twice the logarithm of the likelihood, but for a constant.
+      of minus twice the logarithm of the likelihood with the disturbance's prior, but for a constant.
     """
 
     members: tuple[Member, ...]
@@ -246,7 +251,8 @@ class Workbench:
         self._own = segments(vehicle, data.logs)
         self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
         self._sampled: tuple[Model, Model] | None = None
-        self._known = set[tuple[str, bool | None]]()  # programs that are compiled, by kinds of models
+        # Programs that are compiled, by kinds of models.
+        self._known = set[tuple[str, tuple[bool, bool] | None]]()
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -455,12 +461,13 @@ class Workbench:
             path = model.beside.path
             out = maximise(likely, jnp.asarray(z), path, max_steps, rtol * self.samples, damping)
             moved = {"beside": dataclasses.replace(model.beside, path=out.path)}
+            own = 0.5 * unusual(model.beside.force, self.fine.unit)
         else:
             out = refine_windows(
                 self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
             )
-            moved = {"delta": out.delta}
-        cost = float(out.cost)
+            moved, own = {"delta": out.delta}, 0.0
+        cost = float(out.cost) + own
         if not np.isfinite(cost) and model.z[: len(self.base)].any():
             return self.refine(self.as_filed(model), max_steps, rtol)
         promised = cost - float(out.promised) if np.isfinite(cost) else np.inf
@@ -492,6 +499,7 @@ class Workbench:
             likely = self._likelihood(model, model.beside.force)
             z = jnp.asarray(self._padded(model.z))
             cost = float(promise(likely, z, model.beside.path, LEAST_DAMPING))
+            cost += 0.5 * unusual(model.beside.force, self.fine.unit)
             return cost if np.isfinite(cost) else np.inf
 
         return self._side_by_side(of, models, "promise")
@@ -499,7 +507,7 @@ class Workbench:
     def disturbed(self, model: Model) -> Model:
         """The model beside a disturbance of the usual size, along the path as measured."""
         fine = self.fine
-        learned = UNLEARNED * np.eye(2 * len(fine.unit))
+        learned = UNLEARNED * np.eye(count_of(fine.begin))
         return dataclasses.replace(model, beside=Beside(fine.begin, fine.path, learned), cost=np.inf)
 
     def hurried(self, model: Model) -> Model:
@@ -507,6 +515,7 @@ class Workbench:
         assert model.beside is not None
         force = model.beside.force
         slow = (force.frequency == 0) & (force.time > USUAL_MEMORY.median)
+        slow = slow.at[len(force.axes) :].set(False)
         time = jnp.where(slow, USUAL_MEMORY.median, force.time)
         quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
         return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))
@@ -593,7 +602,7 @@ class Workbench:
                 return of(model)
 
         # The first compiles the program that the others share, if none of its kind was compiled before.
-        kinds = {(program, model.beside and model.beside.force.swells) for model in models}
+        kinds = {(program, model.beside and model.beside.force.kind) for model in models}
         alone = 0 if kinds <= self._known else 1
         first = [one(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -601,17 +610,46 @@ class Workbench:
         self._known |= kinds
         return out
 
-    def swelling(self, model: Model) -> Model:
-        """The model beside a swell too, where the logs are likelier so; its disturbance is estimated."""
-        assert model.beside is not None
-        beside = model.beside
-        problem, every = self._path(model, beside)
-        swell = None if beside.force.swells else with_swell(problem, every, beside.force, self.fine.unit)
-        if swell is None:
+    def amid_more(self, model: Model) -> Model:
+        """The model beside a swell and a current too, where the logs are likelier so by the odds of a name.
+
+        Its disturbance is estimated. As it is without a disturbance.
+        """
+        if model.beside is None:
             return model
-        unlearned = UNLEARNED * np.eye(3 * len(self.fine.unit) + 2)
-        out = self.likeliest(dataclasses.replace(model, beside=Beside(swell, beside.path, unlearned)))
-        return out if out.cost < model.cost else model
+        force, left = model.beside.force, []
+        if not force.swells:
+            left.append(with_swell)
+        if not force.flows and {0, 1} & set(force.axes):
+            left.append(with_current)
+        while left:
+            amid = [self._amid(model, one) for one in left]
+            best = int(np.argmin([one.cost for one in amid]))
+            if not amid[best].cost < model.cost - self.criteria.nats:
+                break
+            if left.pop(best) is with_current:
+                # One that wanders can stand for one that is steady, which is a cause with a name.
+                steady = [self.likeliest(one).cost for one in self._in_currents(model)]
+                if min(steady, default=np.inf) < amid[best].cost:
+                    continue
+            model = amid[best]
+        return model
+
+    def _amid(self, model: Model, with_one: Callable[..., Disturbance | None]) -> Model:
+        """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
+        beside = model.beside
+        assert beside is not None
+        problem, every = self._path(model, beside)
+        wider = with_one(problem, every, beside.force, self.fine.unit)
+        if wider is None:
+            return model
+        unlearned = UNLEARNED * np.eye(count_of(wider))
+        return self.likeliest(dataclasses.replace(model, beside=Beside(wider, beside.path, unlearned)))
+
+    def _in_currents(self, model: Model) -> list[Model]:
+        """The model with each steady motion of the water that it does not have."""
+        water = [i for i in self.open(model) if isinstance(self.layout.suspects[i].effect, WaterEffect)]
+        return [self.with_member(model, Member(i), np.zeros(self.layout.columns[i].shape[1])) for i in water]
 
     def sampled(self, model: Model) -> "Sample":
         """Some windows out of many, and the model refined on these; all where there are not many."""
@@ -630,7 +668,7 @@ class Workbench:
         """The model refined; raises `InputError` where the vehicle runs away along the logs."""
         out = self.likeliest(model)
         if model.beside is not None and np.isfinite(out.cost):
-            out = self.swelling(out)
+            out = self.amid_more(out)
         if not np.isfinite(out.cost):
             raise runaway(self.data.logs[0].name, self.vehicle.name)
         return out
@@ -701,6 +739,9 @@ class Workbench:
     def log_score(self, model: Model) -> float:
         """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
 
+        Beside a disturbance that is estimated on these logs: their weather is not that of the others, and a
+        model is not to blame for it.
+
         - `model`: of another workbench, beside a disturbance; what begins has begun.
         """
         assert model.beside is not None
@@ -710,12 +751,21 @@ class Workbench:
         # As wide as that of a refinement, whose program this is then.
         nothing = Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS)))
         problem, path = self.problem(begun, fine.problem), fine.path
-        group = jnp.zeros(len(fine.group), int)
-        found = innovations(problem, nothing, force, path, group, 1)
-        for _ in range(PASSES - 1):
-            found = innovations(problem, nothing, force, found.path, group, 1)
-        minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
-        return -0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi)))
+        group, covariance = jnp.zeros(len(fine.group), int), model.beside.covariance
+        scores = []
+        for time in range(WEATHERS):
+            if time:
+                every, spread = (
+                    path_lines(problem, nothing, force, path),
+                    start_spread(problem.start_precision),
+                )
+                force, covariance, _ = estimated(spread, every, force, fine.unit, covariance)
+            for _ in range(PASSES):
+                found = innovations(problem, nothing, force, path, group, 1)
+                path = found.path
+            minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
+            scores.append(-0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi))))
+        return max(scores)
 
     def whitened(self, model: Model) -> Float[np.ndarray, "windows steps rows"]:
         """What each sample says that none before it did, in standard deviations; NaN where none was taken.

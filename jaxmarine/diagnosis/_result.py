@@ -382,8 +382,12 @@ class Diagnosis:
 
     @property
     def far(self) -> bool:
-        """Whether so much is left that log or file are rather wrong as a whole than disturbed."""
-        return self.misfit_after > FAR**2
+        """Whether so much is left that log or file are rather wrong as a whole than disturbed.
+
+        Where a disturbance was estimated it is part of what is left, and as large as it is found plausible.
+        """
+        implausible = self.disturbance is None or any(f.excess is not None for f in self.findings)
+        return self.misfit_after > FAR**2 and implausible
 
     def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:
         """The causes of a group in words, as `jaxmarine plan --cause` takes them.

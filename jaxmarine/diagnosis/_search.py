@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
+from ._fine import STRAIGHT
 from ._knots import knots, wave_start
 from ._model import Beginning, Member, Model, Workbench
 from ._score import Reduced, savings, scatter, step_with
@@ -335,11 +336,43 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
-    members = [*(t.member for t in hopeful), *hidden]
     begun = [t.model for t in hopeful] + [_joined(bench, quick, one, None) for one in hidden]
+    # What acts at once spoils more by beginning a second late than it saves.
+    begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in begun]
     refitted = _refined_each(bench, begun, STEPS, 1)
-    trials = rest + [trial_of(model, member, one) for member, one in zip(members, refitted, strict=True)]
+    trials = rest + [trial_of(model, one.members[-1], one) for one in refitted]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def begun_at_best(bench: Workbench, model: Model, which: int, least: float, steps: int) -> Model:
+    """The model with a member that begins at the time that costs least, from half a window to `least` [s].
+
+    - `steps`: of each refit. As it is where the member always acts.
+    """
+    since = model.members[which].since
+    if since is None:
+        return model
+    which, log = which % len(model.members), bench.data.logs[since.log]
+    if not np.isfinite(model.cost):
+        model = bench.refine(model, steps)
+    step = bench.data.length / 2
+    while step >= 0.9 * least:
+        moved, since = [], model.members[which].since
+        assert since is not None
+        for shift in (-step, step):
+            time = float(np.clip(since.time + shift, log.t[0], log.t[-1]))
+            time = float(log.t[np.argmin(np.abs(log.t - time))])
+            other = dataclasses.replace(model.members[which], since=Beginning(since.log, time))
+            members = tuple(other if j == which else m for j, m in enumerate(model.members))
+            # Of beginnings that coincide one moves only where there is room for one more.
+            if bench.have_room(members):
+                moved.append(dataclasses.replace(model, members=members))
+        best = min(bench.refine_each(moved, steps), key=lambda m: m.cost, default=model)
+        if best.cost < model.cost - 1e-6:
+            model = best
+        else:
+            step /= 2
+    return model
 
 
 def _paying(bench: Workbench, ranked: dict[Member, float]) -> list[Member]:
@@ -450,7 +483,10 @@ def search(
         one, stats = decided
         rounds.append(one)
         held = []
-        model, stats = _weighted(bench, one.trials[0].model, stats)
+        model = bench.amid_more(one.trials[0].model)
+        if model is not one.trials[0].model:
+            stats = bench.screen(model)
+        model, stats = _weighted(bench, model, stats)
         progress(FOUND + bench.layout.suspects[one.trials[0].member.suspect].label)
         if hopeless(model, stats):
             break
@@ -478,9 +514,14 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
     hopeful = [t for t in trials if t.saved > needed(bench, t.member, 1.0)]
     for trial in hopeful[:CHANCES]:
         exact = bench.likeliest(trial.model)
+        since = trial.member.since
+        if exact.beside is not None and since is not None:
+            # What is left of some samples on the wrong side scatters its scores.
+            dt = bench.data.logs[since.log].dt
+            exact = bench.likeliest(begun_at_best(bench, exact, -1, dt, FEW_STEPS))
         if not bench.stands(exact, model):
             continue
-        winner = trial_of(model, trial.member, exact)
+        winner = trial_of(model, exact.members[-1], exact)
         after = bench.screen(exact)
         phi = dispersion(bench, exact, after)
         if not significant(bench, winner, after, phi):

@@ -1,13 +1,12 @@
 """After the search: what it found is pruned, weighed once more, and beginnings are moved to their time."""
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
 from ._coefficients import settle
 from ._dropped import HARMFUL, REPLACED, gone, needless
-from ._model import Beginning, Model, Workbench
+from ._model import Model, Workbench
 from ._result import Dropped
 from ._search import (
     FEW_STEPS,
@@ -15,6 +14,7 @@ from ._search import (
     STEPS,
     Found,
     Round,
+    begun_at_best,
     beside_file,
     dispersion,
     needed,
@@ -26,6 +26,8 @@ from ._worth import gain_at_home
 # A member is kept without more than a few steps of a refit where those promise that its removal costs this
 # many times what it must save.
 OBVIOUS = 10.0
+# Steps of a refit that moves a beginning.
+BEGIN_STEPS = 6
 # Suspects beaten in a round that are weighed once more in the end.
 RIVALS = 3
 
@@ -76,27 +78,8 @@ def _reweighed(bench: Workbench, model: Model, rounds: Sequence[Round], phi: flo
 def _beginnings_refined(bench: Workbench, model: Model) -> Model:
     """Moves each beginning to the time that costs least, from coarse to fine."""
     for i, member in enumerate(model.members):
-        if member.since is None:
-            continue
-        log = bench.data.logs[member.since.log]
-        step = bench.data.length / 2
-        while step >= 0.9 * log.dt:
-            moved = []
-            for shift in (-step, step):
-                time = float(np.clip(model.members[i].since.time + shift, log.t[0], log.t[-1]))  # pyright: ignore
-                time = float(log.t[np.argmin(np.abs(log.t - time))])
-                other = dataclasses.replace(member, since=Beginning(member.since.log, time))
-                members = tuple(other if j == i else m for j, m in enumerate(model.members))
-                # Of beginnings that coincide one moves only where there is room for one more.
-                if bench.have_room(members):
-                    moved.append(dataclasses.replace(model, members=members))
-            best = model
-            for trial in bench.refine_each(moved, max_steps=6):
-                if trial.cost < best.cost - 1e-6:
-                    best = trial
-            if best is model:
-                step /= 2
-            model = best
+        if member.since is not None:
+            model = begun_at_best(bench, model, i, bench.data.logs[member.since.log].dt, BEGIN_STEPS)
     return model
 
 

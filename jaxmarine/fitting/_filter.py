@@ -9,6 +9,9 @@ and, where a swell is asked for, one that also turns with a frequency: the first
 
     p' = -p / time + [[0, -frequency], [frequency, 0]] p + w,    standard deviation `size` of each.
 
+And where a current is asked for, the water's velocity to the north and to the east: two numbers like the
+first. What a current does to a craft turns with its heading and grows with its speed, as no wrench does.
+
 A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
 state and this wrench as its own. What it does to the residuals it does to their derivatives too, so that
 their sums are those of white noise: minus twice the logarithm of the likelihood is the chi-square of the
@@ -43,8 +46,12 @@ from ._rows import Rows
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
+# Numbers of the water's velocity: to the north, and to the east.
+FLOW = 2
 # Periods of a swell from which its own is looked for [s], and what it leaves of a wrench's size meanwhile.
 PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
+# Sizes of a current from which its own is looked for [m/s].
+CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
@@ -73,16 +80,19 @@ class Usual(NamedTuple):
 # itself [s], and the frequency [rad/s] of one with a period of 5 s.
 USUAL_SIZE, USUAL_MEMORY = Usual(0.02, 3.0), Usual(4.0, 1.0)
 SWELL_MEMORY, SWELL_FREQUENCY = Usual(10.0, 1.0), Usual(2 * np.pi / 5, 0.7)
+# Of a current that wanders: size [m/s], and memory [s].
+USUAL_FLOW, FLOW_MEMORY = Usual(0.06, 1.0), Usual(40.0, 1.0)
 
 
 class Disturbance(eqx.Module):
-    """A Gauss-Markov wrench on the hull, and a swell.
+    """A Gauss-Markov wrench on the hull, a swell, and a current.
 
-    - `size`: standard deviation [N, N m]; `time`: in which it forgets all but 1/e [s]; `frequency` [rad/s], 0
-      of what does not swing. First of the wrench on each axis, then of the swell, if there is one.
+    - `size`: standard deviation [N, N m, m/s]; `time`: in which it forgets all but 1/e [s]; `frequency`
+      [rad/s], 0 of what does not swing. First of the wrench on each axis, then of the swell, if there is one,
+      last of the current, if there is one, alike to the north and to the east.
     - `gap`: from the end of the last hold of the window before to the first sample of each window [s], many
       memories where a log begins; `joined`: whether a window goes on in the state of the one before.
-    - `axes`: those on which it acts.
+    - `axes`: those on which it acts; `flows`: whether there is a current.
     """
 
     size: Float[Array, " parts"]
@@ -91,20 +101,29 @@ class Disturbance(eqx.Module):
     gap: Float[Array, " windows"]
     joined: Bool[Array, " windows"]
     axes: tuple[int, ...] = eqx.field(static=True)
+    flows: bool = eqx.field(static=True, default=False)
 
     @property
     def swells(self) -> bool:
-        return len(self.size) > len(self.axes)
+        return len(self.size) - self.flows > len(self.axes)
+
+    @property
+    def kind(self) -> tuple[bool, bool]:
+        """Whether there is a swell, and a current."""
+        return self.swells, self.flows
 
     @property
     def states(self) -> int:
-        return len(self.axes) * (3 if self.swells else 1)
+        return len(self.axes) * (3 if self.swells else 1) + FLOW * self.flows
 
     @property
-    def output(self) -> Float[Array, "axes states"]:
-        """From its states to the wrench on its axes."""
+    def output(self) -> Float[Array, "pushes states"]:
+        """From its states to the wrench on its axes, and to the water's velocity."""
         own = jnp.eye(len(self.axes))
-        return jnp.concatenate([own, jnp.kron(own, jnp.array([[1.0, 0.0]]))], axis=1) if self.swells else own
+        if self.swells:
+            own = jnp.concatenate([own, jnp.kron(own, jnp.array([[1.0, 0.0]]))], axis=1)
+        flow = jnp.eye(FLOW) if self.flows else jnp.zeros((FLOW, 0))
+        return jax.scipy.linalg.block_diag(own, flow)
 
     def _of_states(self, of_parts: Float[Array, " parts"]) -> Float[Array, " states"]:
         count = len(self.axes)
@@ -116,14 +135,14 @@ class Disturbance(eqx.Module):
         if not self.swells:
             return left
         count = len(self.axes)
-        angle = (self.frequency[count:] * dt)[:, None]
-        here, there = left[count::2], left[count + 1 :: 2]
+        angle = (self.frequency[count : 2 * count] * dt)[:, None]
+        here, there = left[count : 3 * count : 2], left[count + 1 : 3 * count : 2]
         turned = (
             jnp.cos(angle) * here - jnp.sin(angle) * there,
             jnp.sin(angle) * here + jnp.cos(angle) * there,
         )
         pairs = jnp.stack(turned, axis=1).reshape(2 * count, -1)
-        return jnp.concatenate([left[:count], pairs])
+        return jnp.concatenate([left[:count], pairs, left[3 * count :]])
 
     def new(self, dt: Float[Array, ""]) -> Float[Array, " states"]:
         """Variance of what is new in its states after some time [s]."""
@@ -133,22 +152,28 @@ class Disturbance(eqx.Module):
 class Path(eqx.Module):
     """About what the windows are linearised.
 
-    - `delta`: changes of their initial states (`State.moved`); `wrench`: that expected in their middle.
+    - `delta`: changes of their initial states (`State.moved`); `push`: the wrench on the disturbance's axes
+      and the velocity of the water that are expected in their middle.
     """
 
     delta: Float[Array, "windows 12"]
-    wrench: Float[Array, "windows axes"]
+    push: Float[Array, "windows pushes"]
+
+    @classmethod
+    def measured(cls, count: int, axes: tuple[int, ...]) -> "Path":
+        """So many windows as measured, where nothing disturbs."""
+        return cls(jnp.zeros((count, 12)), jnp.zeros((count, len(axes) + FLOW)))
 
 
 class Line(eqx.Module):
-    """A window as a linear system: states from sample to sample, and what is measured, by state and wrench.
+    """A window as a linear system: states from sample to sample, and what is measured, by state and pushes.
 
     - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
     - `begin`: derivative of the first state by the twelve changes of the initial state.
     """
 
-    f: Float[Array, "steps 13 13+axes"]
-    h: Float[Array, "steps rows 13+axes"]
+    f: Float[Array, "steps 13 13+pushes"]
+    h: Float[Array, "steps rows 13+pushes"]
     residual: Float[Array, "steps rows columns"]
     dt: Float[Array, " steps"]
     begin: Float[Array, "13 12"]
@@ -186,17 +211,19 @@ class Message(eqx.Module):
     end: Float[Array, "13 columns"]
 
 
-def _throughout(by_knots: Float[Array, "*rows knots*6"], force: Disturbance) -> Float[Array, "*rows axes"]:
-    """Derivatives by a wrench that acts throughout, from those by its knots on six axes."""
-    return by_knots.reshape(*by_knots.shape[:-1], -1, 6).sum(-2)[..., np.array(force.axes)]
+def _throughout(by: Float[Array, "*rows knots*6+flow"], force: Disturbance) -> Float[Array, "*rows pushes"]:
+    """Derivatives by what pushes throughout, from those by a wrench's knots on six axes, and by the water."""
+    by_knots, by_water = by[..., :-FLOW], by[..., -FLOW:]
+    by_wrench = by_knots.reshape(*by.shape[:-1], -1, 6).sum(-2)[..., np.array(force.axes)]
+    return jnp.concatenate([by_wrench, by_water], axis=-1)
 
 
-def line_of(rows: Rows, z: int, wrench: Float[Array, " axes"], force: Disturbance) -> Line:
-    """A window's rows as a linear system about its path, but without the wrench that is expected there.
+def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbance) -> Line:
+    """A window's rows as a linear system about its path, but without what is expected to push there.
 
-    - `z`: how many parameters the rows have; behind them is a free wrench.
+    - `z`: how many parameters the rows have; behind them are a free wrench and the water.
     """
-    residual = rows.residual - _throughout(rows.jacobian[..., 12 + z :], force) @ wrench
+    residual = rows.residual - _throughout(rows.jacobian[..., 12 + z :], force) @ push
     return Line(
         f=jnp.concatenate([rows.a, _throughout(rows.b[..., z:], force)], axis=-1),
         h=jnp.concatenate([rows.h_x, _throughout(rows.h_z[..., z:], force)], axis=-1),
@@ -311,9 +338,10 @@ class Innovations(eqx.Module):
 
 
 def pushed(problem: Problem, force: Disturbance, path: Path) -> Problem:
-    """The problem with the wrench that is expected along the path."""
-    wrench = jnp.zeros((len(path.wrench), 6)).at[:, np.array(force.axes)].set(path.wrench)
-    return eqx.tree_at(lambda p: p.windows.wrench, problem, wrench, is_leaf=lambda x: x is None)
+    """The problem with the wrench and the moving water that are expected along the path."""
+    wrench = jnp.zeros((len(path.push), 6)).at[:, np.array(force.axes)].set(path.push[:, :-FLOW])
+    windows = dataclasses.replace(problem.windows, wrench=wrench, water=path.push[:, -FLOW:])
+    return dataclasses.replace(problem, windows=windows)
 
 
 def start_spread(precision: Float[Array, "12"]) -> Float[Array, "12"]:
@@ -354,14 +382,14 @@ class Windowed(eqx.Module):
     @classmethod
     def of(cls, rows: Rows, z: int, path: Path, force: Disturbance, index) -> "Windowed":
         """`z`: how many parameters the rows have."""
-        wrench = path.wrench[index]
+        push = path.push[index]
         return cls(
-            line=line_of(rows, z, wrench, force),
+            line=line_of(rows, z, push, force),
             start=rows.start,
             end=jnp.concatenate(
                 [
                     rows.end_by[:, 12 : 12 + z],
-                    (rows.end - _throughout(rows.end_by[:, 12 + z :], force) @ wrench)[:, None],
+                    (rows.end - _throughout(rows.end_by[:, 12 + z :], force) @ push)[:, None],
                 ],
                 axis=1,
             ),
@@ -406,7 +434,7 @@ def _lines(
     given = affine.acts.shape[-1]
 
     def of_rows(rows, index):
-        free = Free(rows.jacobian[..., 12 + given :], rows.end_by[:, 12 + given :])
+        free = Free(rows.jacobian[..., 12 + given : -FLOW], rows.end_by[:, 12 + given : -FLOW])
         return Windowed.of(rows, given, path, force, index), free
 
     def each(carry, now):
@@ -424,7 +452,8 @@ def lines(
     that, and it is the same for all disturbances.
     """
     n = len(force.axes)
-    still = dataclasses.replace(force, size=jnp.zeros(n), time=jnp.ones(n), frequency=jnp.zeros(n))
+    nothing = jnp.zeros(n)
+    still = dataclasses.replace(force, size=nothing, time=jnp.ones(n), frequency=nothing, flows=False)
     return _lines(problem, affine, still, path, knots)
 
 
@@ -528,34 +557,60 @@ class Logarithms:
 
     In order: how much is new per root of a second on each axis [full thrust], which logs tell best, and its
     memory [s]; then of a swell its size on each axis [full thrust], and for all axes its memory [s] and its
-    frequency [rad/s].
+    frequency [rad/s]; last of a current its size [m/s] and its memory [s].
     """
 
     axes: int
 
     def of(self, force: Disturbance, unit: np.ndarray) -> Float[np.ndarray, " logarithms"]:
-        n, size = self.axes, np.asarray(force.size) / np.tile(unit, len(force.size) // self.axes)
+        n, size = self.axes, np.asarray(force.size / self._units(force, unit))
         time, frequency = np.asarray(force.time), np.asarray(force.frequency)
-        swell = [size[n:], time[n : n + 1], frequency[n : n + 1]] if force.swells else []
-        return np.log(np.concatenate([size[:n] / np.sqrt(time[:n]), time[:n], *swell]))
+        swell = [size[n : 2 * n], time[n : n + 1], frequency[n : n + 1]] if force.swells else []
+        flow = [size[-1:], time[-1:]] if force.flows else []
+        return np.log(np.concatenate([size[:n] / np.sqrt(time[:n]), time[:n], *swell, *flow]))
 
     def set(self, force: Disturbance, unit: Array, values: Float[Array, " logarithms"]) -> Disturbance:
         n, values = self.axes, jnp.exp(values)
         size, time, frequency = values[:n] * jnp.sqrt(values[n : 2 * n]), values[n : 2 * n], jnp.zeros(n)
         if force.swells:
             size = jnp.concatenate([size, values[2 * n : 3 * n]])
-            time = jnp.concatenate([time, jnp.full(n, values[-2])])
-            frequency = jnp.concatenate([frequency, jnp.full(n, values[-1])])
-        size = size * jnp.tile(unit, len(size) // n)
+            time = jnp.concatenate([time, jnp.full(n, values[3 * n])])
+            frequency = jnp.concatenate([frequency, jnp.full(n, values[3 * n + 1])])
+        if force.flows:
+            size, time = jnp.append(size, values[-2]), jnp.append(time, values[-1])
+            frequency = jnp.append(frequency, 0.0)
+        size = size * self._units(force, unit)
         return dataclasses.replace(force, size=size, time=time, frequency=frequency)
+
+    def _units(self, force: Disturbance, unit: Array | np.ndarray) -> Array:
+        """Of each part's size: the full thrust of its axis, of a current 1 m/s."""
+        wrenches = jnp.tile(jnp.asarray(unit), 2 if force.swells else 1)
+        return jnp.append(wrenches, 1.0) if force.flows else wrenches
 
     def unusual(self, force: Disturbance, unit: Array) -> Float[Array, ""]:
         """Minus twice the logarithm of the prior's density."""
-        n, size = self.axes, force.size / jnp.tile(unit, len(force.size) // self.axes)
-        out = USUAL_SIZE.unusual(size).sum() + USUAL_MEMORY.unusual(force.time[:n]).sum()
+        n, size = self.axes, force.size / self._units(force, unit)
+        wrenches = size[:-1] if force.flows else size
+        out = USUAL_SIZE.unusual(wrenches).sum() + USUAL_MEMORY.unusual(force.time[:n]).sum()
         if force.swells:
             out += SWELL_MEMORY.unusual(force.time[n]) + SWELL_FREQUENCY.unusual(force.frequency[n])
+        if force.flows:
+            out += USUAL_FLOW.unusual(size[-1]) + FLOW_MEMORY.unusual(force.time[-1])
         return out
+
+
+def count_of(force: Disturbance) -> int:
+    """Of how many `Logarithms` a disturbance has."""
+    meaning = Logarithms(len(force.axes))
+    return len(meaning.of(force, np.ones(meaning.axes)))
+
+
+def unusual(force: Disturbance, unit: Float[np.ndarray, " axes"]) -> float:
+    """Minus twice the logarithm of the prior's density of a disturbance, but for a constant; 0 at its most.
+
+    - `unit`: as of `estimated`.
+    """
+    return float(Logarithms(len(force.axes)).unusual(force, jnp.asarray(unit)))
 
 
 @compiled
@@ -618,24 +673,54 @@ def with_swell(
     problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
 ) -> Disturbance | None:
     """The disturbance with a swell in its place, of its likeliest period, where that is likelier."""
+    n = len(force.axes)
+    own, flow = slice(0, n), slice(n, None)
+    time = [jnp.maximum(force.time[own], USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
+    small = dataclasses.replace(
+        force,
+        size=jnp.concatenate([force.size[own] * LEFT, force.size]),
+        time=jnp.concatenate([*time, force.time[flow]]),
+    )
+    swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
+    frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[flow]]) for one in swinging]
+    swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
+    return _likeliest(problem, every, force, swells, unit)
+
+
+def with_current(
+    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+) -> Disturbance | None:
+    """The disturbance with a current beside it, of its likeliest size, where that is likelier."""
+    n = len(force.axes)
+    flowing = [
+        dataclasses.replace(
+            force,
+            size=jnp.append(force.size.at[:n].multiply(LEFT), size),
+            time=jnp.append(force.time, FLOW_MEMORY.median),
+            frequency=jnp.append(force.frequency, 0.0),
+            flows=True,
+        )
+        for size in CURRENTS
+    ]
+    return _likeliest(problem, every, force, flowing, unit)
+
+
+def _likeliest(
+    problem: Problem,
+    every: Windowed,
+    force: Disturbance,
+    others: list[Disturbance],
+    unit: Float[np.ndarray, " axes"],
+) -> Disturbance | None:
+    """The likeliest of some other disturbances, if it is likelier than one."""
     spread, meaning = _spread(problem), Logarithms(len(force.axes))
 
     def improbability(of: Disturbance) -> float:
         logarithms = jnp.asarray(meaning.of(of, unit))
         return float(_improbability(logarithms, jnp.asarray(unit), every, spread, of)[0])
 
-    n = len(force.axes)
-    small = dataclasses.replace(
-        force,
-        size=jnp.concatenate([force.size * LEFT, force.size]),
-        time=jnp.concatenate(
-            [jnp.maximum(force.time, USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
-        ),
-    )
-    frequencies = [jnp.concatenate([jnp.zeros(n), jnp.full(n, 2 * np.pi / period)]) for period in PERIODS]
-    swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
-    best = min((improbability(one), i) for i, one in enumerate(swells))
-    return swells[best[1]] if best[0] < improbability(force) else None
+    best, which = min((improbability(one), i) for i, one in enumerate(others))
+    return others[which] if best < improbability(force) else None
 
 
 class Likelihood(eqx.Module):

@@ -213,9 +213,13 @@ def tracks_of(
     wrench = records.wrench[log, step]
     common = (commands, wrench if windows.wrench is None else wrench + windows.wrench[:, None], t)
     moving = jax.tree.map(lambda a: a[log, step], moving)
+    water = None
+    if windows.water is not None:
+        level = jnp.pad(windows.water, ((0, 0), (0, 1)))
+        water = jnp.broadcast_to(level[:, None], (*step.shape, 3))
     return Track(
-        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, moving),
-        instant=Input(push.instant[log, step], *common, moving=moving),
+        over=Input(push.mean[log, step], *common, push.slope[log, step], t + 0.5 * dt, moving, water),
+        instant=Input(push.instant[log, step], *common, moving=moving, water=water),
         lagged=lagged[log, step],
         segment=records.segment[log, step],
         dt=dt,
@@ -265,7 +269,8 @@ def predict(problem: Problem, theta, delta):
 
         def show(state, drive, segment):
             plant = of_segment(plants, segment)
-            return plant.readings(state, plant.acceleration(state, drive), problem.width)
+            nu_dot = plant.acceleration(state, drive)
+            return plant.amid(drive.water).readings(state, nu_dot, problem.width)
 
         shown = jax.vmap(show)(states, track.instant, track.segment)
         if plants.delay is None:

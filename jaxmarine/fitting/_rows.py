@@ -49,8 +49,9 @@ from ._windows import Windows
 class Rows(eqx.Module):
     """A window along its path: what the measured channels are off by, weighted, and what that comes from.
 
-    - `jacobian`: derivatives of the residuals by the initial state, z and the free wrench.
-    - `dt` of the holds; `a`, `b`: from a state and from z and the wrench over a hold to the next state.
+    - `jacobian`: derivatives of the residuals by the initial state, z, the free wrench, and the velocity of
+      the water to the north and to the east, where windows say one.
+    - `dt` of the holds; `a`, `b`: from a state and from all but the first of these over a hold to the next.
     - `h_x`, `h_z`: from these to what is measured.
     - `start`, `end`: the first state and the one after the last hold; `begin`: derivative of the former by
       the twelve changes of the initial state; `end_by`: of the latter, as `jacobian`.
@@ -135,20 +136,22 @@ def _chain(plant: Plant, width: int) -> _Chain:
 def _balances(plant_of: PlantOf, axes: tuple[int, ...], plants: Plant, theta, x, drive, lagged, segment):
     """At some points nu', the derivatives of the balance on some axes, the inverse mass' columns for these.
 
+    Derivatives by the state, thrust, theta, fluid memory and, where it is given, the water's velocity.
+
     Compiled as part of the caller; by itself it is traced once for all programs that linearise.
     """
     free = np.array(axes)
 
-    def balance(x, nu_dot, pushed, theta, lagged, segment, drive):
-        drive = eqx.tree_at(lambda d: d.thrust, drive, pushed)
+    def balance(x, nu_dot, pushed, theta, lagged, water, segment, drive):
+        drive = dataclasses.replace(drive, thrust=pushed, water=water)
         return plant_of(theta, segment).balance(_unflat(x, lagged), nu_dot, drive)[free]
 
     def one(x, drive, lagged, segment):
         plant = of_segment(plants, segment)
         nu_dot = plant.acceleration(_unflat(x, lagged), drive)
         first = 0 if theta.shape[0] == 1 else segment
-        slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4))(
-            x, nu_dot, drive.thrust, theta[first], lagged, first, drive
+        slopes = jax.jacrev(balance, argnums=(0, 2, 3, 4, 5))(
+            x, nu_dot, drive.thrust, theta[first], lagged, drive.water, first, drive
         )
         return nu_dot, slopes, plant.mobility(drive)[:, free]
 
@@ -156,9 +159,9 @@ def _balances(plant_of: PlantOf, axes: tuple[int, ...], plants: Plant, theta, x,
 
 
 @eqx.filter_jit
-def _readings(plants: Plant, channels: tuple[int, ...], width: int, chain: _Chain, x, nu_dot, segment):
-    """What the sensors show at some points, and the derivatives of some channels by x, nu' and the constants
-    of the readings.
+def _readings(plants: Plant, channels: tuple[int, ...], width: int, chain: _Chain, x, nu_dot, segment, water):
+    """What the sensors show at some points, and the derivatives of some channels by x, nu', the constants of
+    the readings and, where it is given, the water's velocity.
 
     - `width`: how many channels are shown.
 
@@ -166,18 +169,18 @@ def _readings(plants: Plant, channels: tuple[int, ...], width: int, chain: _Chai
     """
     rows = np.array(channels, int)
 
-    def shown(x, nu_dot, constants, segment):
+    def shown(x, nu_dot, constants, water, segment):
         plant = of_segment(plants, segment)
         _, unravel = jax.flatten_util.ravel_pytree(_seen_by(plant, width))
-        plant = _seeing(plant, unravel(constants), width)
+        plant = _seeing(plant, unravel(constants), width).amid(water)
         return plant.readings(_unflat(x, jnp.zeros(0)), nu_dot, width)
 
-    def one(x, nu_dot, segment):
-        constants = of_segment(chain, segment).shown
-        slopes = jax.jacrev(lambda *at: shown(*at)[rows], argnums=(0, 1, 2))(x, nu_dot, constants, segment)
-        return shown(x, nu_dot, constants, segment), slopes
+    def one(x, nu_dot, segment, water):
+        at = x, nu_dot, of_segment(chain, segment).shown, water, segment
+        slopes = jax.jacrev(lambda *at: shown(*at)[rows], argnums=(0, 1, 2, 3))(*at)
+        return shown(*at), slopes
 
-    return jax.vmap(one)(x, nu_dot, segment)
+    return jax.vmap(one)(x, nu_dot, segment, water)
 
 
 def _remembers(plants: Plant, slope: Callable[..., Array]) -> Bool[Array, ""] | bool:
@@ -214,7 +217,7 @@ class _Points(NamedTuple):
 
 
 class _Slopes(NamedTuple):
-    """nu' at some points, and its derivatives by the state and by z and the free wrench."""
+    """nu' at some points, and its derivatives by the state and by z, the free wrench and the water."""
 
     nu_dot: Array
     by_x: Array
@@ -288,6 +291,11 @@ class Sweep(eqx.Module):
         """How many z there are, without the free wrench."""
         return self.affine.acts.shape[-1]
 
+    @property
+    def asked(self) -> int:
+        """Of how many numbers derivatives are: z, the free wrench and the water."""
+        return self.given + 6 * self.knots + (0 if self.problem.windows.water is None else 2)
+
     def rolled(self, windows: Windows, delta: Float[Array, "windows 12"], begun: Array) -> _Rolled:
         """Some windows all at once: of a stiff vehicle this is one short step after another, in which few
         windows take as long as many.
@@ -305,13 +313,13 @@ class Sweep(eqx.Module):
         return _Rolled(windows, delta, begun, tracks, states, after, d_slow)
 
     def rows(self, now: _Rolled) -> Rows:
-        """One window's rows, with derivatives by its initial state, z and the free wrench."""
+        """One window's rows, with derivatives by its initial state and all that is asked for."""
         track, windows, measured = now.track, now.windows, np.array(self.problem.channels, int)
         x, x_after = jax.vmap(_flat)(now.states), jax.vmap(_flat)(now.after)
         at_middle = self._middle(now, x, x_after)
         moved, seen = self._along(now, at_middle, x)
         a, b = self._propagators(at_middle.x, track.dt, moved)
-        value, h_x, h_z = self._sensed(x, track.segment, seen)
+        value, h_x, h_z = self._sensed(x, track, seen)
 
         def start(delta):
             return _flat(start_of(windows, delta, track.lagged[0]))
@@ -320,8 +328,7 @@ class Sweep(eqx.Module):
             a, b = now
             return (a @ s).at[:, 12:].add(b), s
 
-        z = self.given + 6 * self.knots
-        s_0 = jnp.concatenate([jax.jacfwd(start)(now.delta), jnp.zeros((13, z))], axis=1)
+        s_0 = jnp.concatenate([jax.jacfwd(start)(now.delta), jnp.zeros((13, self.asked))], axis=1)
         s_end, s = jax.lax.scan(recur, s_0, (a, b))
         weight = windows.weight[:, measured]
         jacobian = (h_x @ s).at[:, :, 12:].add(h_z)
@@ -357,13 +364,15 @@ class Sweep(eqx.Module):
             d_lagged = d_slow
         held = track.over
         assert held.middle is not None
-        over = Input(held.thrust, held.command, held.wrench, held.middle, moving=held.moving)
+        over = Input(
+            held.thrust, held.command, held.wrench, held.middle, moving=held.moving, water=held.water
+        )
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
         return _Points(middle, over, between, track.segment, d_lagged)
 
     def _along(self, now: _Rolled, at_middle: _Points, x: Array) -> tuple[_Slopes, _Slopes]:
         """In the middle of the holds, and at the samples: zero where no acceleration is measured."""
-        steps, z = self.steps, self.given + 6 * self.knots
+        steps, z = self.steps, self.asked
         if not self.problem.accelerations:
             still = _Slopes(jnp.zeros((steps, 6)), jnp.zeros((steps, 6, 13)), jnp.zeros((steps, 6, z)))
             return self._tangents(now, at_middle), still
@@ -387,7 +396,7 @@ class Sweep(eqx.Module):
             lagged,
             segment,
         )
-        by_x, by_thrust, by_theta, by_lagged = slopes
+        by_x, by_thrust, by_theta, by_lagged, by_water = slopes
         acts = self.affine.acts[segment][:, None, :]
         by_z = self.columns(by_theta) * acts + self._by_thrusters(by_thrust, now)
         if lagged.shape[-1]:
@@ -395,6 +404,8 @@ class Sweep(eqx.Module):
         nu_z = -inverse @ by_z
         if self.knots:
             nu_z = jnp.concatenate([nu_z, self._by_wrench(inverse)], axis=-1)
+        if by_water is not None:
+            nu_z = jnp.concatenate([nu_z, -inverse @ by_water[..., :2]], axis=-1)
         return _Slopes(nu_dot, -inverse @ by_x, nu_z)
 
     def _by_thrusters(self, by_thrust: Array, now: _Rolled) -> Array:
@@ -407,7 +418,7 @@ class Sweep(eqx.Module):
         )
 
     def _by_wrench(self, inverse: Array) -> Array:
-        """Derivatives of nu' by the free wrench, from the inverse mass' columns for the axes that move."""
+        """Derivatives of nu' by the free wrench's knots, from the inverse mass' columns of what moves."""
         steps, knots, points = self.steps, self.knots, len(inverse)
         # A wrench on an axis that cannot move moves nothing.
         every = jnp.zeros((points, 6, 6)).at[:, :, np.array(self.problem.axes)].set(inverse)
@@ -423,15 +434,24 @@ class Sweep(eqx.Module):
         exp, phi = _exponential(dt * f, self.problem.split)
         return exp, dt * (phi[:, :, 7:] @ moved.by_z)
 
-    def _sensed(self, x: Array, segment: Array, seen: _Slopes) -> tuple[Array, Array, Array]:
+    def _sensed(self, x: Array, track: Track, seen: _Slopes) -> tuple[Array, Array, Array]:
         """Readings at every sample of a window; the derivatives of the measured ones by x and z."""
-        problem = self.problem
+        problem, segment = self.problem, track.segment
         value, slopes = _readings(
-            self.plants, problem.channels, problem.width, self.chain, x, seen.nu_dot, segment
+            self.plants,
+            problem.channels,
+            problem.width,
+            self.chain,
+            x,
+            seen.nu_dot,
+            segment,
+            track.instant.water,
         )
-        by_x, by_nu_dot, by_constants = slopes
+        by_x, by_nu_dot, by_constants, by_water = slopes
         by_z = by_nu_dot @ seen.by_z
         by_z = by_z.at[:, :, : self.given].add(_contract(by_constants, self.chain_slopes.shown, segment))
+        if by_water is not None:
+            by_z = by_z.at[:, :, -2:].add(by_water[..., :2])
         return value, by_x + by_nu_dot @ seen.by_x, by_z
 
     def _earlier(

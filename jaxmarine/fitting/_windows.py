@@ -42,7 +42,8 @@ class Windows(eqx.Module):
     - `log`, `step`: where each step of a window lies in `Records`.
     - `measured`, `weight` (1 / standard deviation of the noise, 0 where nothing was measured).
     - `position`, `attitude`, `velocity`: guess of the state at the window's first step.
-    - `wrench`: what is expected to act on the hull throughout, beside all that the logs know.
+    - `wrench`, `water` [m/s, north and east]: what is expected to act on the hull, and how the water is
+      expected to move, throughout and beside all that the logs know.
     """
 
     log: Int[Array, " windows"]
@@ -53,6 +54,7 @@ class Windows(eqx.Module):
     attitude: Float[Array, "windows 4"]
     velocity: Float[Array, "windows 6"]
     wrench: Float[Array, "windows 6"] | None = None
+    water: Float[Array, "windows 2"] | None = None
 
     @property
     def count(self) -> int:

@@ -20,6 +20,7 @@ from .._types import AXES
 from ..diagnosis import Coefficient, Layout, SaturatedPlant, base_coefficients, parts_of, saturate, strength
 from ..effects import AbstractEffect
 from ..fitting import (
+    FLOW,
     USUAL_MEMORY,
     USUAL_SIZE,
     Affine,
@@ -243,17 +244,17 @@ class Bench:
         size = self.layout.size
         affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
         force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
-        path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.wrench[None]))
+        path = Path(jnp.zeros((1, 12)), jnp.asarray(np.pad(begun.wrench, (0, FLOW))[None]))
         window = lines(problem, affine, force, path)[0]
         return jax.tree.map(lambda a: np.asarray(a)[0], window)
 
     @property
     def empty(self) -> Windowed:
         """A block in which nothing was measured."""
-        rows, columns, axes = len(self.channels), self.layout.size + 1, len(self.axes)
+        rows, columns, pushes = len(self.channels), self.layout.size + 1, len(self.axes) + FLOW
         line = Line(
-            f=jnp.zeros((self.steps, 13, 13 + axes)),
-            h=jnp.zeros((self.steps, rows, 13 + axes)),
+            f=jnp.zeros((self.steps, 13, 13 + pushes)),
+            h=jnp.zeros((self.steps, rows, 13 + pushes)),
             residual=jnp.zeros((self.steps, rows, columns)),
             dt=jnp.full(self.steps, self.dt),
             begin=jnp.eye(13, 12),
