@@ -613,7 +613,7 @@ class Workbench:
     def amid_more(self, model: Model) -> Model:
         """The model beside a swell and a current too, where the logs are likelier so by the odds of a name.
 
-        Its disturbance is estimated. As it is without a disturbance.
+        Each of their numbers is paid for as a name's are (Schwarz). As it is without a disturbance.
         """
         if model.beside is None:
             return model
@@ -625,7 +625,9 @@ class Workbench:
         while left:
             amid = [self._amid(model, one) for one in left]
             best = int(np.argmin([one.cost for one in amid]))
-            if not amid[best].cost < model.cost - self.criteria.nats:
+            more = _numbers(amid[best]) - _numbers(model)
+            needed = self.criteria.nats + 0.5 * more * np.log(self.samples)
+            if not amid[best].cost < model.cost - needed:
                 break
             if left.pop(best) is with_current:
                 # One that wanders can stand for one that is steady, which is a cause with a name.
@@ -760,9 +762,10 @@ class Workbench:
                     start_spread(problem.start_precision),
                 )
                 force, covariance, _ = estimated(spread, every, force, fine.unit, covariance)
-            for _ in range(PASSES):
-                found = innovations(problem, nothing, force, path, group, 1)
-                path = found.path
+            found = innovations(problem, nothing, force, path, group, 1)
+            for _ in range(PASSES - 1):
+                found = innovations(problem, nothing, force, found.path, group, 1)
+            path = found.path
             minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
             scores.append(-0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi))))
         return max(scores)
@@ -1018,6 +1021,11 @@ class Workbench:
         """A suspect's columns in the screening's order."""
         columns = self.layout.columns[suspect]
         return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
+
+
+def _numbers(model: Model) -> int:
+    """How many numbers its disturbance has."""
+    return 0 if model.beside is None else count_of(model.beside.force)
 
 
 def _starts(data: Cut, vehicle: Vehicle) -> int:
