@@ -642,7 +642,8 @@ class Workbench:
         beside = model.beside
         assert beside is not None
         problem, every = self._path(model, beside)
-        wider = with_one(problem, every, beside.force, self.fine.unit)
+        spread = start_spread(problem.start_precision)
+        wider = with_one(spread, every, beside.force, self.fine.unit)
         if wider is None:
             return model
         unlearned = UNLEARNED * np.eye(count_of(wider))

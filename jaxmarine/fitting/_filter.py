@@ -670,7 +670,7 @@ def estimated(
 
 
 def with_swell(
-    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
 ) -> Disturbance | None:
     """The disturbance with a swell in its place, of its likeliest period, where that is likelier."""
     n = len(force.axes)
@@ -684,11 +684,11 @@ def with_swell(
     swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
     frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[flow]]) for one in swinging]
     swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
-    return _likeliest(problem, every, force, swells, unit)
+    return _likeliest(spread, every, force, swells, unit)
 
 
 def with_current(
-    problem: Problem, every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
 ) -> Disturbance | None:
     """The disturbance with a current beside it, of its likeliest size, where that is likelier."""
     n = len(force.axes)
@@ -702,18 +702,18 @@ def with_current(
         )
         for size in CURRENTS
     ]
-    return _likeliest(problem, every, force, flowing, unit)
+    return _likeliest(spread, every, force, flowing, unit)
 
 
 def _likeliest(
-    problem: Problem,
+    spread: Float[Array, "12"],
     every: Windowed,
     force: Disturbance,
     others: list[Disturbance],
     unit: Float[np.ndarray, " axes"],
 ) -> Disturbance | None:
     """The likeliest of some other disturbances, if it is likelier than one."""
-    spread, meaning = _spread(problem), Logarithms(len(force.axes))
+    meaning = Logarithms(len(force.axes))
 
     def improbability(of: Disturbance) -> float:
         logarithms = jnp.asarray(meaning.of(of, unit))

@@ -159,9 +159,10 @@ class Bench:
         return self.force(USUAL_SIZE.median * self.unit, np.full(len(self.axes), USUAL_MEMORY.median))
 
     def force(self, size, time) -> Disturbance:
-        nothing = jnp.zeros(len(self.axes))
+        """Of the wrench on each axis, and of a current where there is one more."""
+        nothing, flows = jnp.zeros(len(size)), len(size) > len(self.axes)
         return Disturbance(
-            jnp.asarray(size), jnp.asarray(time), nothing, jnp.zeros(1), jnp.zeros(1, bool), self.axes
+            jnp.asarray(size), jnp.asarray(time), nothing, jnp.zeros(1), jnp.zeros(1, bool), self.axes, flows
         )
 
     @property
@@ -221,7 +222,7 @@ class Bench:
         first = len(near.t) - self.steps - 1
         if begun is None:
             turn = quaternions_of(track.attitude[first : first + 1])[0]
-            begun = Begun(track.position[first], turn, track.nu[first], np.zeros(len(self.axes)))
+            begun = Begun(track.position[first], turn, track.nu[first], np.zeros(len(self.axes) + FLOW))
         windows = Windows(
             log=jnp.zeros(1, int),
             step=jnp.arange(here.start, here.stop)[None],
@@ -244,7 +245,7 @@ class Bench:
         size = self.layout.size
         affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
         force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
-        path = Path(jnp.zeros((1, 12)), jnp.asarray(np.pad(begun.wrench, (0, FLOW))[None]))
+        path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.push[None]))
         window = lines(problem, affine, force, path)[0]
         return jax.tree.map(lambda a: np.asarray(a)[0], window)
 
@@ -264,21 +265,28 @@ class Bench:
 
 
 class Begun(NamedTuple):
-    """What is expected of a craft: NED [m], quaternion, velocity [m/s, rad/s], and the wrench [N, N m]."""
+    """What is expected of a craft: NED [m], quaternion, velocity [m/s, rad/s], and of what pushes it.
+
+    - `push`: the wrench on its axes [N, N m], and the water's velocity to the north and to the east [m/s].
+    """
 
     position: Float[np.ndarray, "3"]
     attitude: Float[np.ndarray, "4"]
     velocity: Float[np.ndarray, "6"]
-    wrench: Float[np.ndarray, " axes"]
+    push: Float[np.ndarray, " pushes"]
+
+    @property
+    def wrench(self) -> Float[np.ndarray, " axes"]:
+        return self.push[:-FLOW]
 
 
 def expected(message: Message, force: Disturbance, after: float) -> Begun:
-    """State where a block ends, and the wrench so long after [s], by all that was measured until then."""
+    """State where a block ends, and the push so long after [s], by all that was measured until then."""
     mean, end = np.asarray(message.mean)[:, -1], np.asarray(message.end)[:, -1]
     state = end - mean[:13]
     turn = state[3:7] / np.linalg.norm(state[3:7])
-    left = np.exp(-after / np.asarray(force.time)) * mean[13:]
-    return Begun(state[:3], turn, state[7:], -left)
+    left = force.output @ force.after(jnp.asarray(after), jnp.asarray(mean[13:, None]))
+    return Begun(state[:3], turn, state[7:], -np.asarray(left)[:, 0])
 
 
 @compiled

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..fitting import Disturbance, Message, Windowed, estimated
+from ..diagnosis import Criteria
+from ..fitting import Disturbance, Message, Windowed, count_of, estimated, nothing_known, with_current
 from ._blocks import LONG, Begun, Bench, expected, passed, replayed
 from ._evidence import Member, Sum, Suspicions
 
@@ -24,6 +25,8 @@ CHUNK = 80
 KEPT = 24
 # Variance of the logarithms of sizes and memories before anything is known of them.
 UNLEARNED = 0.25
+# A disturbance, the covariance of its logarithms, and -2 log p (`fitting.estimated`).
+Estimated = tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"], float]
 # Columns of z, and since when they act [s].
 Gate = tuple[tuple[int, ...], float]
 Says = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -55,7 +58,7 @@ class Account:
         size, most = bench.layout.size, 2 * CHUNK
         zero = Sum(-np.inf, 0, np.zeros(size), np.zeros((size, size)))
         said = np.zeros(most), np.zeros((most, size)), np.zeros((most, size, size))
-        learned = UNLEARNED * np.eye(2 * len(bench.axes))
+        learned = UNLEARNED * np.eye(count_of(bench.usual))
         return cls(bench.usual, bench.nothing, bench.nothing, 0.0, [zero], said, learned)
 
     def branched(self) -> "Account":
@@ -105,7 +108,7 @@ class Ledger:
         now = expected(first.message, first.force, 0.5 * float(window.line.dt.sum()))
         if not all(np.isfinite(one).all() for one in now):
             for account in self.accounts:
-                account.message = self.bench.nothing
+                account.message = nothing_known(account.force, self.bench.layout.size + 1)
             return None
         self.held, self.blocks, self.t = k + 1, self.blocks + 1, ends
         return now
@@ -157,9 +160,30 @@ class Ledger:
             gap=jnp.asarray(gap),
             joined=jnp.asarray(joined),
         )
-        force, account.learned, _ = estimated(bench.spread, every, account.force, bench.unit, account.learned)
+        before = account.force
+        found = estimated(bench.spread, every, before, bench.unit, account.learned)
+        if not before.flows and {0, 1} & set(bench.axes):
+            found = self._amid_current(every, found)
+        force, account.learned, _ = found
         account.force = bench.force(force.size, force.time)
+        if account.force.states > before.states:
+            account.before = _widened(account.before, account.force)
         self._replay(account)
+
+    def _amid_current(self, every: Windowed, found: Estimated) -> Estimated:
+        """What was estimated, or with a current beside it where the blocks are likelier so.
+
+        By the odds of a name, its numbers paid for (Schwarz), as in a diagnosis.
+        """
+        bench, (force, _, worth) = self.bench, found
+        wider = with_current(bench.spread, every, force, bench.unit)
+        if wider is None:
+            return found
+        numbers = count_of(wider)
+        amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(numbers))
+        more = numbers - count_of(force)
+        needed = Criteria().nats + 0.5 * more * np.log(self.counts[: self.held].sum())
+        return amid if worth - amid[2] > 2 * needed else found
 
     def _acting(self, known: np.ndarray, members: Sequence[Member]) -> np.ndarray:
         """z of each block that is held: the file's coefficients, and members from their beginning on."""
@@ -274,3 +298,12 @@ def thinned(sums: list[Sum], pinned: Sequence[float]) -> list[Sum]:
         ]
         del sums[1 + int(np.argmin(gaps))]
     return sums
+
+
+def _widened(message: Message, force: Disturbance) -> Message:
+    """What is known with a current beside it, of which nothing is known yet."""
+    more = force.states + 13 - len(message.covariance)
+    mean = jnp.pad(message.mean, ((0, more), (0, 0)))
+    own = jnp.concatenate([jnp.zeros(len(message.covariance)), jnp.full(more, force.size[-1] ** 2)])
+    covariance = jnp.pad(message.covariance, ((0, more), (0, more))) + jnp.diag(own)
+    return dataclasses.replace(message, mean=mean, covariance=covariance)

@@ -61,6 +61,11 @@ def told_of(watch: Watch, status: Status, history: History, source: str) -> dict
         {"axis": axis, "now": w, "size": s, "memory": m, "unit": unit_on("N or N m", axis)}
         for axis, w, s, m in zip(status.axes, wrench, status.size, status.memory, strict=False)
     ]
+    if status.state is not None and len(status.size) > len(status.axes):
+        disturbance += [
+            {"axis": axis, "now": v, "size": status.size[-1], "memory": status.memory[-1], "unit": "m/s"}
+            for axis, v in zip(("water, north", "water, east"), status.state.push[-2:].tolist(), strict=True)
+        ]
     return {
         "vehicle": watch.vehicle.name,
         "source": source,

@@ -186,6 +186,8 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
 
 def _account(blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates) -> Account:
     """The account with the number i; `blank`: one of the same form, that is filled."""
+    flows = len(arrays[f"force{i}_0"]) > len(blank.force.axes)
+    blank.force = dataclasses.replace(blank.force, flows=flows)
     for what in ("before", "message", "force"):
         leaves, form = jax.tree.flatten(getattr(blank, what))
         filled = [jnp.asarray(arrays[f"{what}{i}_{j}"]) for j in range(len(leaves))]

@@ -25,8 +25,8 @@ class Status:
     """Where a watch stands.
 
     - `t`: where the last block ends [s]; `blocks`: that were filtered.
-    - `state`: of the craft, and the wrench that disturbs it on each of `axes`; `size` [N, N m] and `memory`
-      [s] of that, as estimated.
+    - `state`: of the craft, and what disturbs it on each of `axes`; `size` [N, N m] and `memory` [s] of that,
+      as estimated, and behind these those of a current [m/s, s], where there is one.
     - `nats`: of each suspect, at its best beginning; `bound`: from which on one is named.
     - `named`; `undecided`: causes of which one is at work, and the rows do not tell which.
     - `unseen`: axes and actuators of which too little was seen to tell what the file says of them.
