@@ -651,7 +651,7 @@ class Workbench:
 
     def _in_currents(self, model: Model) -> list[Model]:
         """The model with each steady motion of the water that it does not have."""
-        water = [i for i in self.open(model) if isinstance(self.layout.suspects[i].effect, WaterEffect)]
+        water = [i for i in self.open(model) if issubclass(self.layout.suspects[i].effect, WaterEffect)]
         return [self.with_member(model, Member(i), np.zeros(self.layout.columns[i].shape[1])) for i in water]
 
     def sampled(self, model: Model) -> "Sample":

@@ -8,9 +8,9 @@ When to be sure: the ratio of a suspect's likelihood to that of none is a martin
 A sum of such ratios over all suspects, one begun at every window, passes a bound in no less than bound
 windows on the average; the largest passes it no sooner. So the bound follows from how often a false name may
 be said. After Shiryaev and Roberts on quickest detection, and Ville's inequality. It holds as far as the
-model of what disturbs the craft does, a Gauss-Markov wrench per axis, and no further: its sizes are estimated
-from the same rows, and what is no such wrench (swell, a current that turns) is evidence for whatever explains
-it best.
+model of what disturbs the craft does, a Gauss-Markov wrench per axis and a current once the rows tell it, and
+no further: sizes are estimated from the same rows, and what is neither (swell) is evidence for whatever
+explains it best.
 """
 
 from collections.abc import Sequence
