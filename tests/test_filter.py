@@ -361,6 +361,7 @@ def wandering() -> np.ndarray:
     return wanders.draw_current(0.1 * np.arange(round(LENGTH / 0.1)), 3)
 
 
+@pytest.mark.slow
 def test_a_current_is_told_from_wrenches():
     """Its size and memory within three standard errors, and where the water went; wrenches hardly stay."""
     water = wandering()

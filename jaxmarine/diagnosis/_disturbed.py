@@ -75,7 +75,7 @@ def _dragged(plant: Plant, attitude, velocity, water) -> Float[Array, "times 6"]
 
 
 def in_words(force: RandomWrench) -> str:
-    """Sizes and memories of a disturbance, axis by axis, and the period of its swell, in a sentence."""
+    """Sizes and memories of a disturbance, axis by axis, its swell and its current, in a sentence."""
     units = ["N" if axis < 3 else "N m" for axis in range(6)]
     pushes = ", ".join(
         f"{size:.2g} {unit} in {name} with a memory of {memory:.2g} s"

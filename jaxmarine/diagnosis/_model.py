@@ -624,10 +624,9 @@ class Workbench:
             left.append(with_current)
         while left:
             amid = [self._amid(model, one) for one in left]
-            best = int(np.argmin([one.cost for one in amid]))
-            more = _numbers(amid[best]) - _numbers(model)
-            needed = self.criteria.nats + 0.5 * more * np.log(self.samples)
-            if not amid[best].cost < model.cost - needed:
+            priced = [one.cost + self.price(one) for one in amid]
+            best = int(np.argmin(np.nan_to_num(priced, nan=np.inf)))
+            if not priced[best] < model.cost + self.price(model) - self.criteria.nats:
                 break
             if left.pop(best) is with_current:
                 # One that wanders can stand for one that is steady, which is a cause with a name.
@@ -636,6 +635,11 @@ class Workbench:
                     continue
             model = amid[best]
         return model
+
+    def price(self, model: Model) -> float:
+        """Nats that the numbers of a model's disturbance must pay for (Schwarz)."""
+        numbers = 0 if model.beside is None else count_of(model.beside.force)
+        return 0.5 * numbers * float(np.log(self.samples))
 
     def _amid(self, model: Model, with_one: Callable[..., Disturbance | None]) -> Model:
         """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
@@ -742,8 +746,8 @@ class Workbench:
     def log_score(self, model: Model) -> float:
         """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
 
-        Beside a disturbance that is estimated on these logs: their weather is not that of the others, and a
-        model is not to blame for it.
+        Given the sizes and memories of the disturbance that suit these logs best: their weather is not that
+        of the others, and a model is not to blame for it.
 
         - `model`: of another workbench, beside a disturbance; what begins has begun.
         """
@@ -769,7 +773,7 @@ class Workbench:
             path = found.path
             minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
             scores.append(-0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi))))
-        return max(scores)
+        return max(filter(np.isfinite, scores), default=-np.inf)
 
     def whitened(self, model: Model) -> Float[np.ndarray, "windows steps rows"]:
         """What each sample says that none before it did, in standard deviations; NaN where none was taken.
@@ -1022,11 +1026,6 @@ class Workbench:
         """A suspect's columns in the screening's order."""
         columns = self.layout.columns[suspect]
         return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
-
-
-def _numbers(model: Model) -> int:
-    """How many numbers its disturbance has."""
-    return 0 if model.beside is None else count_of(model.beside.force)
 
 
 def _starts(data: Cut, vehicle: Vehicle) -> int:

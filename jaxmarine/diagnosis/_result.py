@@ -386,7 +386,7 @@ class Diagnosis:
 
         Where a disturbance was estimated it is part of what is left, and as large as it is found plausible.
         """
-        implausible = self.disturbance is None or any(f.excess is not None for f in self.findings)
+        implausible = self.disturbance is None or any(not f.named for f in self.findings)
         return self.misfit_after > FAR**2 and implausible
 
     def causes_of(self, group: Sequence[str]) -> tuple[str, ...]:

@@ -353,8 +353,8 @@ def begun_at_best(bench: Workbench, model: Model, which: int, least: float, step
     if since is None:
         return model
     which, log = which % len(model.members), bench.data.logs[since.log]
-    if not np.isfinite(model.cost):
-        model = bench.refine(model, steps)
+    # Else a neighbour would be better by its steps alone.
+    model = bench.refine(model, steps)
     step = bench.data.length / 2
     while step >= 0.9 * least:
         moved, since = [], model.members[which].since
@@ -365,7 +365,7 @@ def begun_at_best(bench: Workbench, model: Model, which: int, least: float, step
             other = dataclasses.replace(model.members[which], since=Beginning(since.log, time))
             members = tuple(other if j == which else m for j, m in enumerate(model.members))
             # Of beginnings that coincide one moves only where there is room for one more.
-            if bench.have_room(members):
+            if time != since.time and bench.have_room(members):
                 moved.append(dataclasses.replace(model, members=members))
         best = min(bench.refine_each(moved, steps), key=lambda m: m.cost, default=model)
         if best.cost < model.cost - 1e-6:
@@ -434,13 +434,14 @@ def narrowed(bench: Workbench, model: Model, stats: Reduced) -> float:
 def nats(bench: Workbench, model: Model, stats: Reduced, phi: float) -> float:
     """Logarithm of the marginal likelihood of a model [nats], but for a constant.
 
-    Members are charged for their parameters (Schwarz) and for how many there were to choose from, the file's
-    coefficients, where they may bend, by how much the logs narrow their prior.
+    Members and the disturbance are charged for their parameters (Schwarz), members also for how many there
+    were to choose from, the file's coefficients, where they may bend, by how far logs narrow their prior.
 
     - `phi`: dispersion of the scores, the same for all models that are compared.
     """
     narrow = 0.0 if model.frozen else narrowed(bench, model, stats)
-    return -model.cost / phi - narrow - sum(prior_nats(bench, member) for member in model.members)
+    own = sum(prior_nats(bench, member) for member in model.members) + bench.price(model)
+    return -model.cost / phi - narrow - own
 
 
 def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Trial]:

@@ -25,7 +25,6 @@ from ._check import (
     sparkline as sparkline,
 )
 from ._feedback import answers as answers
-from ._filter import FLOW as FLOW
 from ._filter import USUAL_MEMORY as USUAL_MEMORY
 from ._filter import USUAL_SIZE as USUAL_SIZE
 from ._filter import Disturbance as Disturbance
@@ -140,6 +139,7 @@ from ._weights import largest as largest
 from ._weights import overdispersion as overdispersion
 from ._weights import scaled as scaled
 from ._weights import settled as settled
+from ._windows import FLOW as FLOW
 from ._windows import GAP as GAP
 from ._windows import Cut as Cut
 from ._windows import Records as Records

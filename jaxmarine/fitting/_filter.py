@@ -13,7 +13,7 @@ And where a current is asked for, the water's velocity to the north and to the e
 first. What a current does to a craft turns with its heading and grows with its speed, as no wrench does.
 
 A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
-state and this wrench as its own. What it does to the residuals it does to their derivatives too, so that
+state and this disturbance as its own. What it does to the residuals it does to their derivatives too, so that
 their sums are those of white noise: minus twice the logarithm of the likelihood is the chi-square of the
 innovations and the logarithm of their determinants. Each window begins with any state, but with the wrench
 that the one before has left: conditioned on it all windows are filtered side by side, and joined afterwards.
@@ -42,12 +42,11 @@ from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
 from ._rows import Rows
+from ._windows import FLOW
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
-# Numbers of the water's velocity: to the north, and to the east.
-FLOW = 2
 # Periods of a swell from which its own is looked for [s], and what it leaves of a wrench's size meanwhile.
 PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
 # Sizes of a current from which its own is looked for [m/s].
@@ -363,7 +362,7 @@ class Free(eqx.Module):
 class Windowed(eqx.Module):
     """A window as a linear system, and what it takes to join it to the one before.
 
-    - `start`, `end` of its path without a wrench, the latter's derivatives by what is asked for first.
+    - `start`, `end` of its path without a push, the latter's derivatives by what is asked for first.
     """
 
     line: Line
@@ -600,7 +599,7 @@ class Logarithms:
 
 
 def count_of(force: Disturbance) -> int:
-    """Of how many `Logarithms` a disturbance has."""
+    """How many `Logarithms` a disturbance has."""
     meaning = Logarithms(len(force.axes))
     return len(meaning.of(force, np.ones(meaning.axes)))
 

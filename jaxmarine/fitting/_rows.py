@@ -43,7 +43,7 @@ from ._rollout import (
     wrapped,
 )
 from ._thrust_slopes import ThrustSlopes
-from ._windows import Windows
+from ._windows import FLOW, Windows
 
 
 class Rows(eqx.Module):
@@ -288,13 +288,13 @@ class Sweep(eqx.Module):
 
     @property
     def given(self) -> int:
-        """How many z there are, without the free wrench."""
+        """How many z there are, without the free wrench and the water."""
         return self.affine.acts.shape[-1]
 
     @property
     def asked(self) -> int:
         """Of how many numbers derivatives are: z, the free wrench and the water."""
-        return self.given + 6 * self.knots + (0 if self.problem.windows.water is None else 2)
+        return self.given + 6 * self.knots + (0 if self.problem.windows.water is None else FLOW)
 
     def rolled(self, windows: Windows, delta: Float[Array, "windows 12"], begun: Array) -> _Rolled:
         """Some windows all at once: of a stiff vehicle this is one short step after another, in which few
@@ -405,7 +405,7 @@ class Sweep(eqx.Module):
         if self.knots:
             nu_z = jnp.concatenate([nu_z, self._by_wrench(inverse)], axis=-1)
         if by_water is not None:
-            nu_z = jnp.concatenate([nu_z, -inverse @ by_water[..., :2]], axis=-1)
+            nu_z = jnp.concatenate([nu_z, -inverse @ by_water[..., :FLOW]], axis=-1)
         return _Slopes(nu_dot, -inverse @ by_x, nu_z)
 
     def _by_thrusters(self, by_thrust: Array, now: _Rolled) -> Array:
@@ -451,7 +451,7 @@ class Sweep(eqx.Module):
         by_z = by_nu_dot @ seen.by_z
         by_z = by_z.at[:, :, : self.given].add(_contract(by_constants, self.chain_slopes.shown, segment))
         if by_water is not None:
-            by_z = by_z.at[:, :, -2:].add(by_water[..., :2])
+            by_z = by_z.at[:, :, -FLOW:].add(by_water[..., :FLOW])
         return value, by_x + by_nu_dot @ seen.by_x, by_z
 
     def _earlier(

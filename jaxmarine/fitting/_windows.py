@@ -18,6 +18,10 @@ from ..vehicle import Vehicle
 GAP = 5.5
 
 
+# Numbers of the water's velocity that is expected in a window: to the north, and to the east.
+FLOW = 2
+
+
 class Records(eqx.Module):
     """The whole logs on one time grid each, padded at the end to a common length.
 
@@ -167,7 +171,7 @@ def cut(
         seen = _weighed(vehicle, log, track, noise)
         windows.append(_window_parts(g, begins, size, track, *seen))
         starts.append(log.t[begins])
-        holds += [float(np.diff(log.t[first : first + size]).max()) for first in begins]
+        holds += [float(records[-1]["hold"][first : first + size].max()) for first in begins]
     if len(holds) < 2:
         names = ", ".join(log.name for log in logs)
         raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")

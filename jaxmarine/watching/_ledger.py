@@ -173,7 +173,8 @@ class Ledger:
     def _amid_current(self, every: Windowed, found: Estimated) -> Estimated:
         """What was estimated, or with a current beside it where the blocks are likelier so.
 
-        By the odds of a name, its numbers paid for (Schwarz), as in a diagnosis.
+        By the odds of a name, its numbers paid for (Schwarz). It stays: what is steady is then named only if
+        the rows are likelier still.
         """
         bench, (force, _, worth) = self.bench, found
         wider = with_current(bench.spread, every, force, bench.unit)

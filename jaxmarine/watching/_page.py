@@ -11,6 +11,7 @@ import numpy as np
 from .._extras import of_extra
 from .._local import HTTPStatus, LocalHandler, address_of, opened
 from .._numbers import unit_on
+from ..fitting import FLOW
 from ..physics import to_euler
 from ._status import Status, moment_of, sentence_of
 from ._watch import Watch
@@ -63,8 +64,14 @@ def told_of(watch: Watch, status: Status, history: History, source: str) -> dict
     ]
     if status.state is not None and len(status.size) > len(status.axes):
         disturbance += [
-            {"axis": axis, "now": v, "size": status.size[-1], "memory": status.memory[-1], "unit": "m/s"}
-            for axis, v in zip(("water, north", "water, east"), status.state.push[-2:].tolist(), strict=True)
+            {
+                "axis": axis,
+                "now": float(v),
+                "size": status.size[-1],
+                "memory": status.memory[-1],
+                "unit": "m/s",
+            }
+            for axis, v in zip(("water, north", "water, east"), status.state.push[-FLOW:], strict=True)
         ]
     return {
         "vehicle": watch.vehicle.name,

@@ -28,6 +28,8 @@ from ._watch import Watch
 # Of a source, and rows after it that were taken (`_follow.py`); None where it has none.
 Place = list[int] | None
 
+# Of what is written: another one when it changes.
+FORMAT = 2
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
@@ -117,6 +119,7 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         arrays |= {f"begun{j}": np.asarray(one) for j, one in enumerate(course.begun)}
     intake = watch.intake
     meta = {
+        "format": FORMAT,
         "vehicle": _print_of(watch),
         "place": place,
         "dt": bench.dt,
@@ -151,6 +154,8 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
         raise InputError(
             f"{path}: is no state of a watch ({error}); remove it, or choose another."
         ) from error
+    if meta.get("format") != FORMAT:
+        raise InputError(f"{path}: is the state of a watch of another version; remove it, or choose another.")
     if meta["vehicle"] != _print_of(watch):
         raise InputError(f"{path}: is the state of a watch of another vehicle; choose another, or remove it.")
     _, course, ledger, judge = watch.begin(
