@@ -310,6 +310,7 @@ def test_a_log_with_a_gap_is_two_logs(disturbed):
         np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=0.05)
 
 
+@pytest.mark.slow
 def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     """That of the screening where the log is the training's own; weather counts for nothing, damping does."""
     bench, model = disturbed

@@ -638,8 +638,9 @@ class Workbench:
 
     def price(self, model: Model) -> float:
         """Nats that the numbers of a model's disturbance must pay for (Schwarz)."""
-        numbers = 0 if model.beside is None else count_of(model.beside.force)
-        return 0.5 * numbers * float(np.log(self.samples))
+        if model.beside is None:
+            return 0.0
+        return 0.5 * count_of(model.beside.force) * float(np.log(self.samples))
 
     def _amid(self, model: Model, with_one: Callable[..., Disturbance | None]) -> Model:
         """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
