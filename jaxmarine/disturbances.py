@@ -63,7 +63,7 @@ class RandomWrench:
         return RandomWrench(level, np.full(6, memory)).draw(t, np.random.SeedSequence([seed, 1]))[:, :3]
 
     def to_json(self) -> dict:
-        """What `diagnosis.json` holds of it: of each axis on which it acts, and of the swell, if any."""
+        """What `diagnosis.json` holds of it: of each axis on which it acts, of swell and current, if any."""
         axes = {}
         for i, dof in enumerate(DOFS):
             one: dict[str, float | str] = {"unit": "N" if i < 3 else "N m"}

@@ -82,7 +82,7 @@ def _rates(t, y: Float[Array, " numbers"], args: tuple[Plant, Input]):
     plant, drive = args
     # Commands are held; the thrust of a slow thruster changes within the hold, and waves go on.
     thrust = drive.thrust if drive.slope is None else drive.thrust + drive.slope * (t - drive.middle)
-    drive = Input(thrust, drive.command, drive.wrench, t, moving=drive.moving, water=drive.water)
+    drive = dataclasses.replace(drive, thrust=thrust, t=t, slope=None, middle=None)
     return _flat(plant.rates(_unflat(y), drive))
 
 

@@ -364,9 +364,7 @@ class Sweep(eqx.Module):
             d_lagged = d_slow
         held = track.over
         assert held.middle is not None
-        over = Input(
-            held.thrust, held.command, held.wrench, held.middle, moving=held.moving, water=held.water
-        )
+        over = dataclasses.replace(held, t=held.middle, slope=None, middle=None)
         between = 0.5 * (track.lagged + jnp.concatenate([track.lagged[1:], track.lagged[-1:]]))
         return _Points(middle, over, between, track.segment, d_lagged)
 

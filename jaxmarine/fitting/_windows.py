@@ -16,8 +16,6 @@ from ..vehicle import Vehicle
 
 # Times from sample to sample after which a log has a gap: more than five samples are missing.
 GAP = 5.5
-
-
 # Numbers of the water's velocity that is expected in a window: to the north, and to the east.
 FLOW = 2
 
