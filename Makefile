@@ -47,7 +47,7 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/basedpyright --threads 2
+	$(BIN)/pyrefly check
 	$(BIN)/pytest -n 2 --no-loadscope-reorder
 
 # The variable silences an advertisement that counts as no warning.

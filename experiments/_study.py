@@ -74,7 +74,7 @@ def decided(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> list[dict[str
     A claim holds, or is refuted, where the two-sided p of its pairs is below `LEVEL` after Holm's correction
     for all claims; else these pairs do not decide it. What has diverged is worse than what has not.
     """
-    out = []
+    out = list[dict[str, Any]]()
     for words, own in pairs.items():
         values = np.minimum(np.nan_to_num(np.array(own, float), nan=np.inf), 1e12)
         ratio = values[:, 0] / values[:, 1]

@@ -298,7 +298,13 @@ def _taught_again(pilot: SONCS, memory, flight: Flight, keys, steps: int):
 
 
 def dive(
-    file: jm.Vehicle, pilot, cases: Case, samples: Samples, size: Size, always: float = 0.0, program=_flown
+    file: jm.Vehicle,
+    pilot,
+    cases: Case,
+    samples: Samples,
+    size: Size,
+    always: float = 0.0,
+    program: Any = _flown,
 ):
     """All seeds' dives under one controller, in stretches between which it may learn.
 

@@ -581,7 +581,8 @@ def figures(out: Path, trials: Sequence[Trial]) -> None:
 def _lift(nu):
     still = jnp.zeros(3), jnp.eye(3)
     motion = Motion(*still, nu, nu, jnp.zeros(0), jnp.zeros(()), jnp.zeros(3))
-    return truth().placed[0].effect(motion)  # pyright: ignore[reportCallIssue]
+    effect: Any = truth().placed[0].effect
+    return effect(motion)
 
 
 def main(

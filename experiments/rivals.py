@@ -124,7 +124,7 @@ def sparse(case: Case, rounds: int) -> Row:
     """
     del rounds
     try:
-        from pysindy.optimizers import STLSQ  # pyright: ignore[reportMissingImports]
+        from pysindy.optimizers import STLSQ  # pyrefly: ignore[missing-import]
     except ImportError:
         message = "The sparse regression needs pysindy; install it with `pip install '.[rivals]'`."
         raise SystemExit(message) from None

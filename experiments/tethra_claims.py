@@ -176,7 +176,7 @@ def _miss(inputs: int, outputs: int, hidden: int) -> training.Miss:
     return lambda w, samples: (jax.vmap(unravel(w))(samples[0]) - samples[1]).ravel()
 
 
-def _least(miss: training.Miss, ends: list[Array], samples) -> Array:
+def _least(miss: training.Miss, ends: list, samples) -> Array:
     """The weights of least loss; none that have diverged."""
     costs = [float(training.loss(miss, w, samples)) for w in ends]
     return ends[int(np.argmin(np.nan_to_num(costs, nan=np.inf)))]

@@ -416,7 +416,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """What was to be reached, by the worst seed."""
     found = {(row["case"], row["model"]): row for row in summary(rows)}
-    out = []
+    out = list[dict[str, Any]]()
     for words, case, model, quantity, bound in (
         ("case I, grey box, rms [m]", "I", TRAJECTORY, "worst_rms_m", 1e-3),
         ("case II, trajectory loss, rms [m]", "II", TRAJECTORY, "worst_rms_m", 1e-2),

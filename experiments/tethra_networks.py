@@ -187,7 +187,7 @@ class Online:
             self.regretted += not after < before
             self.replaced = None
         if self.log is not None:
-            values = {
+            values: dict[str, Any] = {
                 name: np.concatenate([getattr(self.log, name), getattr(log, name)])
                 for name in ("t", "channels", "wrench")
             }

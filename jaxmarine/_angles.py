@@ -14,4 +14,4 @@ Angle = TypeVar("Angle", Array, np.ndarray)
 
 def wrap_to_pi(angle: Angle) -> Angle:
     """The same angle within [-pi, pi) [rad]."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    return (angle + np.pi) % (2 * np.pi) - np.pi  # pyrefly: ignore[bad-return]

@@ -72,4 +72,4 @@ def compiled(function: Function) -> Function:
             return _kept[0](function, _options(), (args, kwargs))
         return tuned()(*args, **kwargs)
 
-    return call  # pyright: ignore[reportReturnType]
+    return call  # pyrefly: ignore[bad-return]

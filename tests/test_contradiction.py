@@ -49,14 +49,14 @@ def test_the_motion_over_a_stretch_is_that_of_its_samples():
 
 
 def test_velocities_in_earth_axes_are_told_with_their_fraction():
-    label, values = told(logs_of(VelocityInEarthAxes(jnp.asarray(1.0))))  # pyright: ignore
+    label, values = told(logs_of(VelocityInEarthAxes(jnp.asarray(1.0))))
     assert label == "velocity_in_earth_axes"
     assert values["fraction"] == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.slow
 def test_a_false_scale_is_told_where_it_is_gross():
-    label, values = told(logs_of(VelocityScale(jnp.asarray(0.3))))  # pyright: ignore
+    label, values = told(logs_of(VelocityScale(jnp.asarray(0.3))))
     assert label == "velocity_scale"
     # The noise of positions pulls the slope on them down by a few per cent.
     assert values["factor"] == pytest.approx(0.3, rel=0.05)

@@ -127,7 +127,7 @@ def test_starts_as_measured_recover_without_noise_and_nothing_else_is_taken():
     np.testing.assert_allclose(values(found), planted(boat()), rtol=0.1)
     for starts, loss in (("guessed", "trajectory"), ("measured", "one_step")):
         with pytest.raises(ValueError, match="starts"):
-            fit(boat(), log, everything, starts=starts, loss=loss)  # pyright: ignore[reportArgumentType]
+            fit(boat(), log, everything, starts=starts, loss=loss)
 
 
 def test_costly_windows_are_rejected():

@@ -108,7 +108,7 @@ def test_pool_pushes_back_and_takes_energy():
             none,
             jnp.zeros(4),
         )
-        return np.array(effect(motion))  # pyright: ignore[reportCallIssue]
+        return np.array(effect(motion))
 
     inwards = wrench(**motion_in)
     # Four corners 5 cm deep at 0.5 m/s: 4 (4000 0.05 + 400 0.5) N, back into the pool.

@@ -149,7 +149,7 @@ def test_a_ros_2_bag_is_replayed_row_by_row(tmp_path):
     path = recordings.write_bag(tmp_path / "bag", recordings.odometry(2))
     columns = recordings.MAPS / "ros_odometry.toml"
     log = read_log(path, recordings.ROV, columns)
-    source = open_source(str(path), recordings.ROV, read_columns(columns))  # pyright: ignore
+    source = open_source(str(path), recordings.ROV, read_columns(columns))
     rows = []
     while (some := source.take(0.0)) is not None:
         rows += some

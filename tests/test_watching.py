@@ -61,7 +61,7 @@ def linear(seed: int = 0):
     x, y = rng.normal(size=(24, 10, 5)), rng.normal(size=(24, 10))
     said = (y**2).sum(1), np.einsum("bnz,bn->bz", x, y), np.einsum("bnz,bny->bzy", x, x)
     zero = Sum(-np.inf, 0, np.zeros(5), np.zeros((5, 5)))
-    account = Account(None, None, None, 0.0, [zero], said, np.eye(2))  # pyright: ignore
+    account = Account(None, None, None, 0.0, [zero], said, np.eye(2))
     suspects = Suspicions(np.array([0, 1]), np.array([4.0, 0.3]), (np.eye(5)[:, [2]], np.eye(5)[:, [3, 4]]))
     return x, y, account, suspects
 

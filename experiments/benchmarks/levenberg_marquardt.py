@@ -135,7 +135,7 @@ def by_scipy(starts: Perceptron, samples: Samples, evaluations: int, wanted=(0.0
             scipy.optimize.least_squares(
                 watched,
                 np.asarray(flat),
-                jacobian,  # pyright: ignore[reportArgumentType]
+                jacobian,
                 method="lm",
                 max_nfev=evaluations,
             )

@@ -118,9 +118,9 @@ def lift_form(hull: Array, turning: Array) -> Array:
     """
     q = np.zeros((6, len(LEFT) + len(DRIFT)))
     uv, uw, ur = (int(np.flatnonzero((LEFT == 0) & (j == RIGHT))[0]) for j in (1, 2, 5))
-    by_v, by_w, by_r = len(LEFT) + np.arange(len(DRIFT))
-    q[[1, 5, 2, 4], [by_v, uv, by_w, uw]] = hull
-    q[[1, 5], [ur, by_r]] = turning
+    by_v, by_w, by_r = (int(k) for k in len(LEFT) + np.arange(len(DRIFT)))
+    q[(1, 5, 2, 4), (by_v, uv, by_w, uw)] = hull
+    q[(1, 5), (ur, by_r)] = turning
     return q
 
 

@@ -4,6 +4,7 @@ Linear methods take arrays of motion and force, those that fit a vehicle the log
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -165,8 +166,8 @@ def start_of(vehicle: jm.Vehicle) -> jm.Vehicle:
 
 def free(vehicle: jm.Vehicle):
     """Mass, linear damping, and the six numbers of the quadratic."""
-    effect = vehicle.placed[-1].effect
-    return vehicle.body.matrix, vehicle.damping.linear, effect.value  # pyright: ignore[reportAttributeAccessIssue]
+    effect: Any = vehicle.placed[-1].effect
+    return vehicle.body.matrix, vehicle.damping.linear, effect.value
 
 
 def estimate_of(vehicle: jm.Vehicle) -> Estimate:

@@ -460,13 +460,13 @@ class Workbench:
             likely = self._likelihood(model, model.beside.force)
             path = model.beside.path
             out = maximise(likely, jnp.asarray(z), path, max_steps, rtol * self.samples, damping)
-            moved = {"beside": dataclasses.replace(model.beside, path=out.path)}
+            moved = dict[str, Any](beside=dataclasses.replace(model.beside, path=out.path))
             own = 0.5 * unusual(model.beside.force, self.fine.unit)
         else:
             out = refine_windows(
                 self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
             )
-            moved, own = {"delta": out.delta}, 0.0
+            moved, own = dict[str, Any](delta=out.delta), 0.0
         cost = float(out.cost) + own
         if not np.isfinite(cost) and model.z[: len(self.base)].any():
             return self.refine(self.as_filed(model), max_steps, rtol)
@@ -602,7 +602,7 @@ class Workbench:
                 return of(model)
 
         # The first compiles the program that the others share, if none of its kind was compiled before.
-        kinds = {(program, model.beside and model.beside.force.kind) for model in models}
+        kinds = {(program, None if model.beside is None else model.beside.force.kind) for model in models}
         alone = 0 if kinds <= self._known else 1
         first = [one(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -409,7 +409,7 @@ class Diagnosis:
         """The content of `diagnosis.json` (schema 1)."""
 
         def finding(f: Finding) -> dict:
-            out = dataclasses.asdict(f)
+            out: dict[str, Any] = dataclasses.asdict(f)
             out["alternatives"] = list(out["alternatives"])
             if f.since_log is None:
                 del out["since_log"]

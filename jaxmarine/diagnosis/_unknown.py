@@ -252,7 +252,9 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
             best_pair, best = pair, now
     if ledger.better(best, gain):
         chosen, gain = best_pair, best
-        results = {(*chosen, name): saved((*chosen, name)) for name in order if name not in chosen}
+        results: dict[tuple[str, ...], np.ndarray] = {
+            (*chosen, name): saved((*chosen, name)) for name in order if name not in chosen
+        }
         names = max(results, key=lambda n: results[n].sum(), default=chosen)
         if names != chosen and ledger.better(results[names], gain):
             chosen, gain = names, results[names]

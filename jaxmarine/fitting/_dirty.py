@@ -129,7 +129,7 @@ def _collision(log: Log, drive: Driven) -> Bool[np.ndarray, " times"]:
     scatter = 1.4826 * np.median(error, axis=0)
     least = np.maximum(_SIGMAS * scatter, _REST * np.quantile(error, _USUAL, axis=0))
     beyond = np.minimum(np.abs(drive.needed), error) > _BEYOND * able
-    bad = (beyond & (error > least) & (able > 0)).any(axis=1)
+    bad = np.any(beyond & (error > least) & (able > 0), axis=1)
     bad[[0, -1]] = False  # where no acceleration can be read
     return bad
 

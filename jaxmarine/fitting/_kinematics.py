@@ -158,8 +158,10 @@ def contradiction(vehicle: Vehicle, logs: Sequence[Log], suspects: Sequence[Susp
             continue
         values, before, after = put_right
         case = _weighed(before, after, len(values))
+        if case is None:
+            continue
         small = issubclass(suspect.effect, CompassDeviation | SensorDelay)
-        if case is not None and (small or case.left < GROSS):
+        if small or case.left < GROSS:
             found.append(Contradiction(i, values, case.evidence))
     return max(found, key=lambda one: one.evidence, default=None)
 

@@ -78,7 +78,7 @@ class OneStep(eqx.Module):
 
     def missing(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """The wrench that the vehicle lacks for the measured acceleration [N, N m]."""
-        return self._at_samples(z, lambda plant, *sample: plant.balance(*sample))
+        return self._at_samples(z, lambda plant, state, nu_dot, drive: plant.balance(state, nu_dot, drive))
 
     def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
@@ -240,7 +240,7 @@ def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> E
         freedom=int((np.asarray(task.samples.weight) > 0).sum()) - len(z),
         steps=steps,
         converged=bool(result == optx.RESULTS.successful) and bool(np.isfinite(chi2)),
-        result=optx.RESULTS[result] or "converged",
+        result=optx.RESULTS[result] or "converged",  # pyrefly: ignore[bad-argument-type]
         weighed=np.ones_like(nothing),
         left=nothing,
     )

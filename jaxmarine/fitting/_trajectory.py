@@ -244,7 +244,7 @@ def _estimate(freed: Freed, units: Units, data: Cut, task: Task, solved: _Solved
         freedom=int(seen.sum()) - (12 * data.windows.count - float(loose)) - len(z),
         steps=steps,
         converged=bool(refined.converged) and bool(np.isfinite(refined.cost)),
-        result=optx.RESULTS[refined.result] or "converged",
+        result=optx.RESULTS[refined.result] or "converged",  # pyrefly: ignore[bad-index]
         rejected=data.starts[(weight == 0).all(axis=(1, 2))],
         weighed=solved.factor,
         left=_root_mean_square(residual),

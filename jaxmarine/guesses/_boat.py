@@ -52,7 +52,7 @@ def guess(hull: Hull) -> Guess:
         "prior": _PRIOR,
         "effect": lifts(slender_wing(hull), ahead, aside),
     }
-    notes = {
+    notes: dict[str, tuple[str, ...]] = {
         "body": ABOUT_MIDSHIP,
         "added_mass": (
             "Ahead after Söding (1982). Aside and in yaw: strips of half ellipses (after Newman 1977), "

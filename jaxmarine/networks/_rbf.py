@@ -148,11 +148,11 @@ class Growth:
     def weights(self, count: int) -> Float[np.ndarray, " count"]:
         """Least-squares weights of the first `count` columns."""
         factor = self.factor[:count, :count]
-        return scipy.linalg.solve_triangular(factor, self.solution[:count], trans=1, lower=True)
+        return np.asarray(scipy.linalg.solve_triangular(factor, self.solution[:count], trans=1, lower=True))
 
     def predicted(self, columns: Float[np.ndarray, "samples taken"]) -> Float[np.ndarray, "samples taken"]:
         """What the first one, two, three ... columns predict, given the columns in the order of `order`."""
-        steps = scipy.linalg.solve_triangular(self.factor, columns.T, lower=True).T
+        steps = np.asarray(scipy.linalg.solve_triangular(self.factor, columns.T, lower=True)).T
         return np.cumsum(steps * self.solution, axis=1)
 
 

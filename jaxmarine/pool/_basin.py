@@ -83,7 +83,7 @@ class Basin:
             jnp.array([0.0, 0.0, craft.depth]), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), jnp.zeros(0)
         )
         # Nothing is asked of actuators that rest.
-        self._acting = np.zeros(len(vehicle.command_names))
+        self._acting = jnp.zeros(len(vehicle.command_names))
         # Compiles before the clock runs.
         jax.block_until_ready(self._held(self._acting))
 
@@ -98,7 +98,7 @@ class Basin:
         self._gates[self._own + list(self._sizes).index(label)] = float(on)
         self._plant = self._plant_of(self._sizes, self._gates)
 
-    def _held(self, commands: Float[np.ndarray, " columns"]) -> tuple[Held, Array]:
+    def _held(self, commands: Float[Array | np.ndarray, " columns"]) -> tuple[Held, Array]:
         return _step(self._plant, self._state, self._acting, commands, self._push, self.t)
 
     def step(self, commands: Float[np.ndarray, " columns"]) -> Sample:

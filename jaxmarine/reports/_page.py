@@ -33,6 +33,7 @@ from ._figures import (
     missing_velocity_chart,
     trajectory_chart,
 )
+from ._svg import Plot
 
 _SHOWN = 8  # suspects per round
 
@@ -126,8 +127,12 @@ def templates(*folders: Path) -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters["marked"] = _marked
-    environment.filters["drawn"] = lambda plot: markupsafe.Markup(plot.svg())
+    environment.filters["drawn"] = _drawn
     return environment
+
+
+def _drawn(plot: Plot) -> markupsafe.Markup:
+    return markupsafe.Markup(plot.svg())
 
 
 def _marked(text: str) -> markupsafe.Markup:

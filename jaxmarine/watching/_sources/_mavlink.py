@@ -120,7 +120,7 @@ class Mavlink:
         return own + self.clocks.setdefault(field, received - own)
 
     def _complete(self, until: float) -> list[Row]:
-        rows = []
+        rows = list[Row]()
         for cell in sorted(one for one in self.cells if one * self.dt <= until):
             found: Mapping[str, float] = self.cells.pop(cell)
             self.commands |= {name: value for name, value in found.items() if name in self.held}

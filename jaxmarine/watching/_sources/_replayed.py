@@ -37,7 +37,7 @@ class Replayed:
         names = WRENCH if log.commands is None else log.command_names
         driven = log.wrench if log.commands is None else log.commands
         assert driven is not None
-        rows = []
+        rows = list[Row]()
         for k in here:
             seen = np.flatnonzero(np.isfinite(log.channels[k]))
             row = {"t": float(log.t[k])} | {ALL_CHANNELS[c]: float(log.channels[k, c]) for c in seen}
