@@ -38,7 +38,8 @@ $(STAMP): pyproject.toml constraints.txt
 	this machine has $$(python3 --version 2>/dev/null || echo no Python 3)." >&2; exit 1; }
 	@echo "Installing jaxmarine and its dependencies into $(VENV), once."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	@# Modules are compiled when they are first imported: most of the packages' never are.
+	@$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[test]'
 	@touch $@
 
 demo: $(STAMP)

@@ -11,7 +11,7 @@
 """
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -175,7 +175,7 @@ AXES = tuple(3 * one.turns + axis for one in TABLE for axis in range(3))
 JUMPS = tuple(one.jumps for one in TABLE for _ in one.channels)
 
 
-def width_of(used: Iterable[bool]) -> int:
+def width_of(used: Iterable[Any]) -> int:
     """How many channels arrays must have for these to be among them; `used`: of each channel, in order."""
     last = max((i for i, one in enumerate(used) if one), default=0)
     return max(ALWAYS, 3 * (last // 3 + 1))

@@ -268,7 +268,7 @@ def _roll_out(
 ):
     plants = jax.vmap(vehicle.plant)(acting)
     # Masses inside are no effects: they are the same in all segments.
-    sampled = dataclasses.replace(jax.tree.map(lambda a: a[segment], plants), masses=vehicle.masses)
+    sampled = eqx.tree_at(lambda p: p.masses, jax.tree.map(lambda a: a[segment], plants), vehicle.masses)
     over, at = inputs(sampled, t, commands, wrench, water)
 
     def step(state, now):

@@ -98,17 +98,18 @@ class Input(eqx.Module):
 
     Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `moving` is
     the motion of masses inside, one of each kind; None: they rest where the file has them. `water` is a
-    velocity of the water [m/s] NED beside the plant's own, None where there is none.
+    velocity of the water [m/s] NED beside the plant's own, None where there is none. Those of many times or
+    logs are stacked, for `vmap` and `scan` to take apart.
     """
 
-    thrust: Float[Array, " columns"]
-    command: Float[Array, " columns"]
-    wrench: Wrench
-    t: Float[Array, ""]
-    slope: Float[Array, " columns"] | None = None
-    middle: Float[Array, ""] | None = None
+    thrust: Float[Array, "*times columns"]
+    command: Float[Array, "*times columns"]
+    wrench: Float[Array, "*times 6"]
+    t: Float[Array, "*times"]
+    slope: Float[Array, "*times columns"] | None = None
+    middle: Float[Array, "*times"] | None = None
     moving: tuple[Any, ...] | None = None
-    water: Vector3 | None = None
+    water: Float[Array, "*times 3"] | None = None
 
 
 class Body(eqx.Module):
@@ -375,7 +376,7 @@ class Plant(eqx.Module):
     def has_memory(self) -> bool:
         return bool(self.memories)
 
-    def memory_gain(self) -> Float[Array, "memories 6"]:
+    def memory_gain(self) -> Float[Array, "*segments memories 6"]:
         """Damping that comes late, of each fluid memory and axis [N s/m, N m s]."""
         return jnp.stack([e.gain for e in self.memories])
 

@@ -9,7 +9,20 @@ from pathlib import Path
 import hypothesis
 import jax
 import pytest
+from jaxtyping import install_import_hook
 from xdist.scheduler import LoadScopeScheduling
+
+import tests.typed
+
+# Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
+# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, and `networks`,
+# whose leaves Equinox wraps while it puts others in their place.
+CHECKED = [
+    f"jaxmarine.{path.stem}"
+    for path in sorted((Path(__file__).resolve().parent.parent / "jaxmarine").iterdir())
+    if not path.name.startswith("_") and path.name not in ("fitting", "networks")
+]
+install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.
 jax.config.update("jax_enable_x64", True)
@@ -26,7 +39,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # Modules that diagnose the same vehicles: in one process, which compiles their programs once.
 DIAGNOSING = {
-    f"test_{name}" for name in ("contradiction", "diagnosis", "gross", "hidden", "score", "unknown", "walk")
+    f"test_{name}"
+    for name in ("contradiction", "diagnosis", "every_effect", "gross", "hidden", "score", "unknown", "walk")
 }
 
 

@@ -26,8 +26,8 @@ from jaxmarine.diagnosis._search import Round, Trial
 from jaxmarine.effects import Suspect, Waves
 from jaxmarine.vehicle_io import cause_named
 
-# All logs are equally long, so that a vehicle's programs are compiled once.
-TRAIN, TEST = 120.0, 60.0
+# Logs of quick and of slow tests [s], as long as those of others: a vehicle is compiled once.
+SHORT, TRAIN, TEST = 60.0, 120.0, 60.0
 
 WEAK = Effect("thruster_gain", "port", {"factor": 0.8})
 ROV_WEAK = Effect("thruster_gain", "port_h", {"factor": 0.8})
@@ -57,7 +57,8 @@ def diagnosed(case: str) -> tuple[dict, jm.Diagnosis, jm.Log]:
     vehicle, effect = CASES[case]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        answer = make_case(folder, vehicle, [effect], 7, duration_train=TRAIN, duration_test=TEST)
+        train = SHORT if case in QUICK else TRAIN
+        answer = make_case(folder, vehicle, [effect], 7, duration_train=train, duration_test=TEST)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
     return answer, jm.diagnose(craft, train, test), test

@@ -128,15 +128,15 @@ class Motion(eqx.Module):
 
     - `position` [m] NED, `rotation` body to world, `nu` over ground, `nu_r` relative to the water,
       `t` [s] the log's own time, `command` what each actuator but the sliding mass was told.
-    - `lagged`: `nu_r` passed through the first-order lag of a fluid memory; of use to that effect alone, each
-      of which has its own, and zero where none of these has a gain.
+    - `lagged`: `nu_r` passed through the first-order lag of a fluid memory, six numbers of use to that effect
+      alone: each is shown its own, zero where none of these has a gain. Others see all or none.
     """
 
     position: Vector3
     rotation: Matrix3
     nu: Velocity
     nu_r: Velocity
-    lagged: Velocity
+    lagged: Float[Array, " memory"]
     t: Scalar
     command: Float[Array, " columns"]
 
