@@ -28,6 +28,7 @@ from scipy.stats import median_abs_deviation
 from threadpoolctl import threadpool_limits
 
 import jaxmarine as jm
+from experiments import filters
 from experiments._study import write_results
 from experiments.blind import grading
 from experiments.blind.catalogue import DAMP
@@ -58,6 +59,8 @@ THRESHOLD, RIDGE = 0.5, 0.03
 STEP = 1e-4  # of a parameter, for the acceleration that it adds
 # Residual, in units of the noise, from which a channel counts as badly fitted.
 BAD = 1.1
+# Nats by which a filter's answer has to be better than chance among all suspects: [SET BELOW]
+BANK = AUGMENTED = 3.0
 IN_CATALOGUE = ("single", "pair", "misfit")
 
 
@@ -247,6 +250,46 @@ def _plain(bench: Workbench, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return g, h
 
 
+def by_bank(case: Case, rounds: int) -> Row:
+    """A Kalman filter for each cause, the one of most evidence named, then for each beside it, and so on."""
+    bench = case.bench()
+    watched = filters.Watched(bench)
+    suspects = [(i, value) for i in range(len(bench.layout.suspects)) for value in starts(bench, i)]
+    known: list[tuple[int, np.ndarray]] = []
+    left: list[tuple[int, np.ndarray]] = []
+    for _ in range(rounds):
+        taken = {i for i, _ in known}
+        tried = [known, *([*known, one] for one in suspects if one[0] not in taken)]
+        asked = [(members, watched.hypothesis(members)) for members in tried]
+        # What is wider than a filter is not asked.
+        asked = [(members, one) for members, one in asked if one is not None]
+        worth, z = filters.evidences(watched, [one for _, one in asked])
+        best = int(np.argmax(worth))
+        if worth[best] - worth[0] < np.log(len(bench.layout.suspects)) + BANK:
+            break
+        known, ends = asked[best][0], np.cumsum([len(value) for _, value in asked[best][0]])
+        left = [(i, own) for (i, _), own in zip(known, np.split(z[best], ends)[:-1], strict=True)]
+    return believed(bench, left, case.test)
+
+
+def by_augmented(case: Case, rounds: int) -> Row:
+    """One Kalman filter with the parameters of all causes in its state; those off neutral are named."""
+    bench = case.bench()
+    nats, z = filters.significances(filters.Watched(bench))
+    order = np.argsort(-nats)[:rounds]
+    off = [int(i) for i in order if nats[i] - np.log(len(nats)) > AUGMENTED]
+    values = np.split(z, np.cumsum([columns.shape[1] for columns in bench.layout.columns]))
+    return believed(bench, [(i, values[i]) for i in off], case.test)
+
+
+def believed(bench: Workbench, known: Sequence[tuple[int, np.ndarray]], test: jm.Log) -> Row:
+    """Causes with the parameters that a filter left them with, and what these buy on the test log."""
+    model = bench.frozen(bench.start())
+    for i, value in known:
+        model = bench.with_member(model, Member(i), value)
+    return fitted(bench, model, test)
+
+
 def black_box(case: Case, rounds: int) -> Row:
     """A network of all velocities and commands on every free axis, beside the recalibrated file."""
     del rounds
@@ -342,6 +385,8 @@ METHODS = {
     "sparse": Method("sparse regression of accelerations (pysindy)", sparse),
     "bic": Method("refit every candidate, compare BIC", by_bic),
     "score": Method("score, nothing eliminated", by_score),
+    "bank": Method("bank of Kalman filters, one for each cause", by_bank),
+    "augmented": Method("Kalman filter of the state and all causes", by_augmented),
     "black_box": Method("black-box residual networks", black_box, not_graded),
     "worst_channel": Method("worst-fitting channel (an axis, not a cause)", worst_channel, by_axis),
 }
