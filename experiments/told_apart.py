@@ -154,15 +154,15 @@ class AsStrong(eqx.Module):
 
 def of_strength(
     causes: _Causes, corners: Float[Array, "corners columns"], rms: float
-) -> Float[Array, "corners columns"]:
-    """Corners times the factor at which their commands have this root mean square."""
+) -> Float[Array, "corners columns"] | None:
+    """Corners times the factor at which their commands have this root mean square; None where none has it."""
 
     def off(exponent: float) -> float:
         return float(jnp.sqrt((causes.commands(np.exp(exponent) * corners) ** 2).mean())) - rms
 
-    # A command comes as near to its limits as corners are large.
+    # At either end commands are next to nothing, or at their limits.
     if off(5.0) < 0.0:
-        raise Undrawn(f"no random commands of {rms:.2f}")
+        return None
     return float(np.exp(brentq(off, -5.0, 5.0, xtol=1e-12))) * corners
 
 
@@ -173,10 +173,9 @@ def as_strong(causes: _Causes, rms: float, shape: tuple[int, ...], seed: list[in
     """
     rng = np.random.default_rng(seed)
     for _ in range(RANDOM):
-        begun = of_strength(causes, jnp.asarray(rng.normal(size=shape)), rms)
-        moved = _improved(AsStrong(jnp.asarray(rms)), STAY, causes, begun)
-        flown = _Flown.of(causes, of_strength(causes, moved, rms))
-        if flown.safe:
+        begun = jnp.asarray(rng.normal(size=shape))
+        moved = of_strength(causes, _improved(AsStrong(jnp.asarray(rms)), STAY, causes, begun), rms)
+        if moved is not None and (flown := _Flown.of(causes, moved)).safe:
             return flown
     raise Undrawn(f"no random manoeuvre of {rms:.2f} stays in the box")
 
