@@ -10,6 +10,15 @@ from jaxtyping import Array, Float
 from scipy import stats
 
 from experiments import filters
+from jaxmarine import Log
+from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.effects import CATALOGUE
+from jaxmarine.physics import delayed
+from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle import Vehicle
+from jaxmarine.vehicle_io import cause_named
+
+from .crafts import packaged
 
 
 class Linear(filters.System[Array]):
@@ -133,3 +142,62 @@ def test_a_bank_of_two_names_the_drag_that_a_body_has_more_of(true):
     assert nats[true] > nats[1 - true] + 5.0
     value, error = float(found[true].state[1]), float(found[true].covariance[1, 1]) ** 0.5
     assert abs(value - 0.15) < 3.0 * error < 0.05
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.07, 0.1, 0.34])
+def test_late_commands_are_those_of_the_simulation(delay):
+    rng = np.random.default_rng(0)
+    t, held = 5.0 + 0.1 * np.arange(30), rng.uniform(-1.0, 1.0, (30, 2))
+    delays = np.array([delay, 0.0])
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(held[:-1] * 0.1, axis=0)])
+    commands = filters.Commands(*map(jnp.asarray, (t[0], 0.1, held, sums)))
+    mine = jax.vmap(lambda now: commands.late(now, jnp.asarray(delays)))(jnp.asarray(t))
+    theirs = delayed(jnp.asarray(t), jnp.asarray(held), jnp.broadcast_to(jnp.asarray(delays), held.shape))
+    assert np.allclose(mine.mean[:, 0], theirs.mean, atol=1e-9)
+    assert np.allclose(mine.now[:, 0], theirs.now)
+    slope = jax.jacfwd(lambda d: commands.late(jnp.asarray(t[7]), d).mean[0])(jnp.asarray(delays))
+    # Later by a little, a hold has a little more of the command before it.
+    k = 7 - int(delay / 0.1 + 1e-9)
+    assert float(slope[0, 0]) == pytest.approx((held[k - 1, 0] - held[k, 0]) / 0.1, rel=1e-6)
+
+
+def plain_log(craft: Vehicle) -> Log:
+    """Commands that change every two seconds, and nothing measured."""
+    t = 0.1 * np.arange(400)
+    levels = np.random.default_rng(1).uniform(-0.6, 0.6, (20, len(craft.command_names)))
+    commands = np.repeat(levels, 20, axis=0)
+    return Log(t, np.zeros((len(t), 18)), commands, None, craft.command_names, "plain")
+
+
+@pytest.mark.slow
+def test_a_filter_that_knows_the_truth_goes_where_the_simulation_goes():
+    craft = packaged("cybership2")
+    causes = ("thruster_lag time_constant=0.4", "input_delay delay=0.25", "linear_damping:yaw value=0.5")
+    placed = [cause_named(craft, words) for words in causes]
+    log = plain_log(craft)
+    truth = simulate(craft.place(*placed), log, initial_state(craft))
+    shown = np.where(np.isfinite(craft.stated_noise), np.asarray(truth.channels), np.nan)
+    bench = workbench(craft, (dataclasses.replace(log, channels=shown),), CATALOGUE, None)
+    watched = filters.Watched(bench)
+    layout = bench.layout
+    members = [layout.place_of(cause) for cause in placed]
+    values = [
+        layout.suspects[i].values(cause.effect) - layout.neutral_of(i)
+        for i, cause in zip(members, placed, strict=True)
+    ]
+    columns = np.concatenate([layout.columns[i] for i in members], axis=1)
+    pad = (0, filters.WIDTH - columns.shape[1])
+    true = filters.Hypothesis(
+        tuple(members),
+        np.pad(columns, [(0, 0), pad]),
+        np.pad(np.concatenate(values), pad),
+        np.zeros(filters.WIDTH),
+    )
+    nothing = dataclasses.replace(true, columns=np.zeros_like(true.columns))
+    right, wrong = watched.run([(true, 1e-3), (nothing, 1e-3)]).log_likelihood
+    # Without noise innovations are next to nothing: what is left is the density at the mean.
+    rows = np.isfinite(watched.y).sum()
+    own = bench.own_noise[list(watched.craft.rows)]
+    at_most = -(np.isfinite(watched.y) * np.log(own * np.sqrt(2 * np.pi))).sum()
+    assert at_most - 0.05 * rows < right <= at_most
+    assert right > wrong + 100.0
