@@ -1,6 +1,6 @@
 """Causes that a log leaves open, told apart by a planned manoeuvre.
 
-usage: python -m experiments.told_apart --out DIR [--draws 12] [--quick]
+usage: python -m experiments.told_apart --out DIR [--draws 12] [--severity 1.3 8] [--quick]
 
 Pairs of causes are drawn, not chosen. For every draw the catalogue of `experiments/blind` gives a cause on a
 vehicle, of a severity and with parameters at random, and random commands give a first log of it. Its rival is
@@ -35,7 +35,7 @@ from rich.progress import Progress
 from scipy.optimize import brentq
 
 import jaxmarine as jm
-from experiments._study import discordant, in_a_line, save_figure, study, wilson, write_results
+from experiments._study import decided, discordant, in_a_line, save_figure, study, wilson, write_results
 from experiments.blind import cases, catalogue, excitation
 from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
@@ -90,10 +90,10 @@ class Undrawn(Exception):
 # --- a pair ---------------------------------------------------------------------------------------
 
 
-def drawn(craft: jm.Vehicle, folder: Path, seed: list[int]) -> Pair:
-    """A cause at random, with its rival; its first log is left in the folder."""
+def drawn(craft: jm.Vehicle, folder: Path, between: tuple[float, float], seed: list[int]) -> Pair:
+    """A cause of a severity between two, at random, with its rival; its first log is left in the folder."""
     rng = np.random.default_rng(seed)
-    severity = float(np.exp(rng.uniform(*np.log(SEVERITY))))
+    severity = float(np.exp(rng.uniform(*np.log(between))))
     truth = load(SHIP)
     name = str(rng.choice(catalogue.names(truth)))
     found = cases.named(truth, name, severity, "rich", rng, DURATION)
@@ -228,7 +228,7 @@ def root_mean_square(commands: Float[np.ndarray, "times columns"]) -> float:
     return float(np.sqrt((commands**2).mean()))
 
 
-def row(seed: int, out: Path) -> Row:
+def row(seed: int, severity: tuple[float, float], out: Path) -> Row:
     """One draw, from its file where it was done before."""
     folder = out / f"draw_{seed:02d}"
     path = folder / "row.json"
@@ -238,7 +238,7 @@ def row(seed: int, out: Path) -> Row:
     undrawn = []
     for attempt in range(ATTEMPTS):
         try:
-            found = judged(folder, [seed, attempt])
+            found = judged(folder, severity, [seed, attempt])
         except (Undrawn, jm.InputError) as error:
             undrawn.append(str(error))
             continue
@@ -248,11 +248,11 @@ def row(seed: int, out: Path) -> Row:
     raise SystemExit(f"Draw {seed} gives no pair: {'; '.join(undrawn)}.")
 
 
-def judged(folder: Path, seed: list[int]) -> Row:
+def judged(folder: Path, severity: tuple[float, float], seed: list[int]) -> Row:
     """A pair, and what diagnoses of its manoeuvres say and were expected to."""
     craft = jm.load_vehicle(cases.FOLDER / f"{SHIP}.toml")
     began = time.process_time()
-    pair = drawn(craft, folder, seed)
+    pair = drawn(craft, folder, severity, seed)
     chosen = time.process_time()
     # All plans are of one program.
     made = plan(craft, pair.causes, DURATION, BOX, seed[0], families=CATALOGUE)
@@ -329,9 +329,25 @@ def summary(rows: Sequence[Row]) -> Row:
             "found_nats": float(np.median(told)) if told else None,
             "command_rms": float(np.median([h["command_rms"] for h in here])),
         }
-    decided = {kind: [r[kind]["outcome"] == "decides" for r in rows] for kind in KINDS}
-    pairs = {words: (decided[one], decided[other]) for words, (one, other) in CLAIMS.items()}
-    return out | {"claims": discordant(pairs)}
+    right = {kind: [r[kind]["outcome"] == "decides" for r in rows] for kind in KINDS}
+    pairs = {words: (right[one], right[other]) for words, (one, other) in CLAIMS.items()}
+    return out | {"claims": discordant(pairs), "nats": decided(nats(rows))}
+
+
+def nats(rows: Sequence[Row]) -> dict[str, list[tuple[float, float]]]:
+    """Evidence of the weaker manoeuvre and of the stronger one, draw by draw.
+
+    As a plan expects it, and as it was found where both diagnoses list the rival and prefer the truth.
+    """
+    out = {}
+    for one, other in CLAIMS.values():
+        for kind in ("expected_nats", "found_nats"):
+            both = [(r[other][kind], r[one][kind]) for r in rows]
+            words = f"{KINDS[other]}: less {kind.partition('_')[0]} evidence than {KINDS[one]}"
+            known = [(a, b) for a, b in both if None not in (a, b) and min(a, b) > 0.0]
+            if known:
+                out[words] = known
+    return out
 
 
 def table(found: Row, rows: Sequence[Row]) -> str:
@@ -348,7 +364,11 @@ def table(found: Row, rows: Sequence[Row]) -> str:
         share = f"{one['decides']} of {found['of']} ({100 * low:.0f} to {100 * high:.0f} %)"
         cells = (title, share, one["undecided"], one["wrong"], f"{one['expected_nats']:.1f}", told)
         lines.append("| " + " | ".join(map(str, (*cells, f"{one['command_rms']:.2f}"))) + " |")
-    lines += ["", *(in_a_line(claim) for claim in found["claims"]), ""]
+    lines += ["", *(in_a_line(claim) for claim in found["claims"])]
+    for one in found["nats"]:
+        share = f"{one['ratio']:.2g} times as much, median of {one['dives']} draws"
+        lines.append(f"- {one['claim']}: {one['verdict']} ({share}; p = {one['p_holm']:.2g}, by Holm)")
+    lines.append("")
     lines += ["| drawn, severity | imitated by, nats behind | " + " | ".join(KINDS.values()) + " |"]
     lines += ["|---" * (2 + len(KINDS)) + "|"]
     for r in rows:
@@ -389,6 +409,9 @@ def figure(rows: Sequence[Row], out: Path) -> None:
 def main(
     out: Annotated[Path, typer.Option(help="Folder for logs, results, table and figure.")],
     draws: Annotated[int, typer.Option(min=1, help="Pairs to draw.")] = 12,
+    severity: Annotated[
+        tuple[float, float], typer.Option(help="Least and largest severity of what is drawn.")
+    ] = SEVERITY,
     quick: Annotated[bool, typer.Option("--quick", help="One draw.")] = False,
 ) -> None:
     """Plans manoeuvres that tell causes apart, and diagnoses logs of them and of random ones."""
@@ -396,7 +419,7 @@ def main(
     with study(out, quick), Progress(transient=True) as bar:
         rows = []
         for seed in bar.track(range(draws), description="drawing pairs"):
-            rows.append(row(seed, out))
+            rows.append(row(seed, severity, out))
         found = summary(rows)
         write_results(out, {"draws": found, "rows": rows}, table(found, rows))
         figure(rows, out)
