@@ -277,9 +277,9 @@ class Answer(NamedTuple):
     - `log_likelihood` [nats]; `z` and `covariance`: of the parameters at the end; `path`: states.
     """
 
-    log_likelihood: Float[np.ndarray, " filters"]
-    z: Float[np.ndarray, "filters z"]
-    covariance: Float[np.ndarray, "filters z z"]
+    log_likelihood: Float[Array | np.ndarray, " filters"]
+    z: Float[Array | np.ndarray, "filters z"]
+    covariance: Float[Array | np.ndarray, "filters z z"]
     path: State
 
 
@@ -468,7 +468,7 @@ def _schwarz(watched: Watched, lanes: Sequence[tuple[Hypothesis, float]]) -> tup
     learned = -0.5 * np.linalg.slogdet(scaled)[1]
     paid = 0.5 * used.sum(axis=1) * np.log(np.isfinite(watched.y).sum())
     likely = found.log_likelihood
-    return np.where(np.isfinite(likely), likely + learned - paid, -1e300), found.z
+    return np.where(np.isfinite(likely), likely + learned - paid, -1e300), np.asarray(found.z)
 
 
 def significances(watched: Watched) -> tuple[np.ndarray, np.ndarray]:
@@ -491,4 +491,4 @@ def significances(watched: Watched) -> tuple[np.ndarray, np.ndarray]:
         used = np.flatnonzero(every.spread[own] > 0.0) + own.start
         chi2 = z[used] @ np.linalg.solve(p[np.ix_(used, used)], z[used]) if len(used) else 0.0
         out.append(-stats.chi2.logsf(chi2, max(len(used), 1)))
-    return np.array(out), z
+    return np.array(out), np.asarray(z)

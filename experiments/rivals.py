@@ -53,6 +53,7 @@ from jaxmarine.logs import smooth_states
 from jaxmarine.networks import LearnedWrench
 from jaxmarine.physics import from_euler
 
+HERE = Path(__file__).parent / "instead"
 ROUNDS = 3  # causes that a forward selection may name
 # Acceleration, root mean square over all samples in units of the noise, that a column must add to stay in the
 # sparse regression, and the ridge's pull as a share of a column's own information: of 33 settings what
@@ -62,8 +63,8 @@ STEP = 1e-4  # of a parameter, for the acceleration that it adds
 # Residual, in units of the noise, from which a channel counts as badly fitted.
 BAD = 1.1
 # Nats from which filters name a cause: of the bank beyond chance among all suspects, of the augmented state
-# -log p. By six logs with nothing hidden that are of no sample (`--calibrate`): either names something in two of
-# them, as the other rivals that name causes did in six of fifteen.
+# -log p. By six logs with nothing hidden that are of no sample (`--calibrate`): either names something in two
+# of them, as the other rivals that name causes did in six of fifteen.
 BANK, AUGMENTED = 17.0, 23.0
 IN_CATALOGUE = ("single", "pair", "misfit")
 
@@ -537,6 +538,11 @@ def table(found: dict[str, Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def told(results: Row) -> str:
+    """The table and the claims, as Markdown."""
+    return table(results["methods"]) + "\n" + "\n".join(map(in_a_line, results["claims"])) + "\n"
+
+
 def thresholds(folder: Path, out: Path) -> None:
     """Writes and prints what the filters make of each log of a folder that hides nothing."""
     with study(out, False):
@@ -579,9 +585,8 @@ def main(
     paths = [place / folder.name / f"{key}.json" for folder in folders for key in methods]
     rows = [json.loads(path.read_text()) for path in paths]
     found = {key: summary([r for r in rows if r["method"] == key]) for key in methods}
-    decided = claims(rows)
-    results = {"seed": seed, "count": len(folders), "methods": found, "claims": decided, "rows": rows}
-    write_results(out, results, table(found) + "\n" + "\n".join(map(in_a_line, decided)) + "\n")
+    results = {"seed": seed, "count": len(folders), "methods": found, "claims": claims(rows), "rows": rows}
+    write_results(out, results, told(results))
     print((out / "results.md").read_text())
 
 

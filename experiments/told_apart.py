@@ -48,6 +48,7 @@ from jaxmarine.diagnosis._search import ROUGH, STEPS
 from jaxmarine.effects import CATALOGUE, place
 from jaxmarine.vehicle_io import suspect_named
 
+HERE = Path(__file__).parent / "pairs"
 Row = dict[str, Any]
 KINDS = {
     "planned": "planned",
@@ -163,7 +164,8 @@ def of_strength(
     # At either end commands are next to nothing, or at their limits.
     if off(5.0) < 0.0:
         return None
-    return float(np.exp(brentq(off, -5.0, 5.0, xtol=1e-12))) * corners
+    exponent: Any = brentq(off, -5.0, 5.0, xtol=1e-12)
+    return float(np.exp(exponent)) * corners
 
 
 def as_strong(causes: _Causes, rms: float, shape: tuple[int, ...], seed: list[int]) -> _Flown:

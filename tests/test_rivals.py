@@ -132,3 +132,13 @@ def test_a_rival_is_compared_log_by_log_by_whole_answers():
         f"right more often than {rivals.METHODS[key].title}" for key in keys if key != "ours"
     ]
     assert all((claim["won"], claim["lost"], claim["verdict"]) == (8, 0, "holds") for claim in found)
+
+
+def test_the_page_has_the_numbers_of_the_kept_run():
+    kept = json.loads((rivals.HERE / "results.json").read_text())
+    rows = kept["rows"]
+    assert {key: rivals.summary([r for r in rows if r["method"] == key]) for key in kept["methods"]} == (
+        kept["methods"]
+    )
+    assert rivals.claims(rows) == kept["claims"]
+    assert rivals.told(kept).strip() in (rivals.HERE.parent / "README.md").read_text()

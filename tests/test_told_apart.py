@@ -111,6 +111,16 @@ def test_a_claim_is_decided_by_the_cases_on_which_two_ways_differ():
     assert clear["p"] == pytest.approx(mcnemar(table, exact=True).pvalue)
 
 
+def test_the_page_has_the_numbers_of_the_kept_run():
+    kept = json.loads((told_apart.HERE / "results.json").read_text())
+    page = (told_apart.HERE.parent / "README.md").read_text()
+    found = told_apart.summary(kept["rows"])
+    assert found == kept["draws"]
+    assert told_apart.table(found, kept["rows"]).strip() in page
+    for row in kept["rows"]:
+        assert row["random"]["command_rms"] == pytest.approx(row["planned"]["command_rms"], rel=1e-6)
+
+
 @pytest.mark.slow
 def test_the_rival_of_a_late_command_is_a_lag(tmp_path):
     craft = jm.load_vehicle(told_apart.cases.FOLDER / f"{told_apart.SHIP}.toml")

@@ -370,7 +370,7 @@ def _causes(
         precision.append(np.array([TRACE] * len(value) + [c.prior**-2 for c in others]))
     # As wide for any cause of these kinds.
     width = len(base) + max(column.shape[1] for column in layout.columns)
-    columns = [np.pad(c, [(0, 0), (0, width - c.shape[1])]) for c in columns]
+    columns = [np.pad(c, ((0, 0), (0, int(width - c.shape[1])))) for c in columns]
     precision = [np.pad(p, (0, width - len(p)), constant_values=1.0) for p in precision]
     depth = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
     middle, half = _ranges(vehicle)
