@@ -100,6 +100,33 @@ def decided(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> list[dict[str
     return out
 
 
+def discordant(pairs: Mapping[str, tuple[Sequence[bool], Sequence[bool]]]) -> list[dict[str, Any]]:
+    """Claims that one way is right more often than another on the same cases, by McNemar's exact test.
+
+    Only cases count that one of them has right and the other one not. A claim holds, or is refuted, where the
+    two-sided p is below `LEVEL` after Holm's correction for all claims; else these cases do not decide it.
+    """
+    out = []
+    for words, (one, other) in pairs.items():
+        both = np.array([one, other], bool)
+        won, lost = int((both[0] & ~both[1]).sum()), int((both[1] & ~both[0]).sum())
+        p = float(scipy.stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
+        out.append({"claim": words, "of": both.shape[1], "won": won, "lost": lost, "p": p})
+    if out:
+        held: Any = multipletests([one["p"] for one in out], method="holm")[1]
+        for one, p in zip(out, held, strict=True):
+            one["p_holm"] = float(p)
+            decided = "holds" if one["won"] > one["lost"] else "refuted"
+            one["verdict"] = decided if p < LEVEL else "undecided"
+    return out
+
+
+def in_a_line(claim: dict[str, Any]) -> str:
+    """One claim of `discordant`, as an item of Markdown."""
+    counts = f"only the first is right on {claim['won']}, only the second on {claim['lost']} of {claim['of']}"
+    return f"- {claim['claim']}: {claim['verdict']} ({counts}; p = {claim['p_holm']:.2g}, by Holm)"
+
+
 def spread(values: Sequence[float], digits: int) -> str:
     """Median and range over seeds."""
     return f"{np.median(values):.{digits}f} ({np.min(values):.{digits}f} to {np.max(values):.{digits}f})"

@@ -1,11 +1,13 @@
-"""What would one use instead? The diagnosis against five rivals, on logs of the blind matrix.
+"""What would one use instead? The diagnosis against seven rivals, on logs with a known answer.
 
 usage: python -m experiments.rivals --cases DIR --out DIR [--count 40] [--seed 1] [--jobs 1] [--quick]
+                                    [--calibrate] [--without METHOD]
 
-DIR is a folder of logs with a known answer that `blind_matrix` wrote. A sample of them, with its shares of
-kinds and only what is detectable, goes to every method; each draws on the same catalogue, windows and
-compiled programs where it can. It goes on where it was cut. Writes results.json and results.md. Sparse
-regression needs `pip install '.[rivals]'`.
+DIR is a folder of such logs that `blind_matrix` or `blind.cases` wrote. A sample of them, with the matrix'
+shares of kinds and only what is detectable, goes to every method; each draws on the same catalogue, windows
+and compiled programs where it can. It goes on where it was cut. Writes results.json and results.md.
+`--calibrate` says instead how much the Kalman filters make of logs in which nothing is hidden, which is what
+their thresholds were set by. Sparse regression needs `pip install '.[rivals]'`.
 """
 
 import dataclasses
@@ -16,7 +18,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,7 +30,8 @@ from scipy.stats import median_abs_deviation
 from threadpoolctl import threadpool_limits
 
 import jaxmarine as jm
-from experiments._study import write_results
+from experiments import filters
+from experiments._study import discordant, in_a_line, study, write_results
 from experiments.blind import grading
 from experiments.blind.catalogue import DAMP
 from experiments.blind_matrix import BLOCK, Row, detectable, share
@@ -50,6 +53,7 @@ from jaxmarine.logs import smooth_states
 from jaxmarine.networks import LearnedWrench
 from jaxmarine.physics import from_euler
 
+HERE = Path(__file__).parent / "instead"
 ROUNDS = 3  # causes that a forward selection may name
 # Acceleration, root mean square over all samples in units of the noise, that a column must add to stay in the
 # sparse regression, and the ridge's pull as a share of a column's own information: of 33 settings what
@@ -58,6 +62,10 @@ THRESHOLD, RIDGE = 0.5, 0.03
 STEP = 1e-4  # of a parameter, for the acceleration that it adds
 # Residual, in units of the noise, from which a channel counts as badly fitted.
 BAD = 1.1
+# Nats from which filters name a cause: of the bank beyond chance among all suspects, of the augmented state
+# -log p. By six logs with nothing hidden that are of no sample (`--calibrate`): either names something in two
+# of them, as the other rivals that name causes did in six of fifteen.
+BANK, AUGMENTED = 17.0, 23.0
 IN_CATALOGUE = ("single", "pair", "misfit")
 
 
@@ -247,6 +255,64 @@ def _plain(bench: Workbench, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return g, h
 
 
+class Named(NamedTuple):
+    """What a bank of filters would name beside what it has named, and how much better that is [nats].
+
+    - `begun`, `left`: suspects with the parameters that filters begin from, and that they end with.
+    """
+
+    begun: Sequence[tuple[int, np.ndarray]]
+    left: Sequence[tuple[int, np.ndarray]]
+    nats: float
+
+
+def next_of_bank(watched: filters.Watched, known: Sequence[tuple[int, np.ndarray]]) -> Named:
+    """The cause of most evidence beside those known; better than chance among all suspects by so much."""
+    bench = watched.bench
+    suspects = [(i, value) for i in range(len(bench.layout.suspects)) for value in starts(bench, i)]
+    taken = {i for i, _ in known}
+    tried = [known, *([*known, one] for one in suspects if one[0] not in taken)]
+    asked = [(members, watched.hypothesis(members)) for members in tried]
+    # What is wider than a filter is not asked.
+    asked = [(members, one) for members, one in asked if one is not None]
+    worth, z = filters.evidences(watched, [one for _, one in asked])
+    best = 1 + int(np.argmax(worth[1:]))
+    begun = asked[best][0]
+    ends = np.cumsum([len(value) for _, value in begun])
+    left = [(i, own) for (i, _), own in zip(begun, np.split(z[best], ends)[:-1], strict=True)]
+    return Named(begun, left, float(worth[best] - worth[0] - np.log(len(bench.layout.suspects))))
+
+
+def by_bank(case: Case, rounds: int) -> Row:
+    """A Kalman filter for each cause, the one of most evidence named, then for each beside it, and so on."""
+    bench = case.bench()
+    watched = filters.Watched(bench)
+    found = Named((), (), 0.0)
+    for _ in range(rounds):
+        more = next_of_bank(watched, found.begun)
+        if more.nats < BANK:
+            break
+        found = more
+    return believed(bench, found.left, case.test)
+
+
+def by_augmented(case: Case, rounds: int) -> Row:
+    """One Kalman filter with the parameters of all causes in its state; those off neutral are named."""
+    bench = case.bench()
+    nats, z = filters.significances(filters.Watched(bench))
+    off = [int(i) for i in np.argsort(-nats)[:rounds] if nats[i] > AUGMENTED]
+    values = np.split(z, np.cumsum([columns.shape[1] for columns in bench.layout.columns]))
+    return believed(bench, [(i, values[i]) for i in off], case.test)
+
+
+def believed(bench: Workbench, known: Sequence[tuple[int, np.ndarray]], test: jm.Log) -> Row:
+    """Causes with the parameters that a filter left them with, and what these buy on the test log."""
+    model = bench.frozen(bench.start())
+    for i, value in known:
+        model = bench.with_member(model, Member(i), value)
+    return fitted(bench, model, test)
+
+
 def black_box(case: Case, rounds: int) -> Row:
     """A network of all velocities and commands on every free axis, beside the recalibrated file."""
     del rounds
@@ -283,6 +349,13 @@ def worst_channel(case: Case, rounds: int) -> Row:
     missed[[CHANNELS.index("x"), CHANNELS.index("y")]] = np.nan
     worst = int(np.nanargmax(missed))
     return said([("axis", DOFS[worst % 6])] if missed[worst] > BAD else [])
+
+
+def made_of_nothing(case: Case) -> Row:
+    """How surely the filters would name a cause [nats], in a log in which nothing is hidden."""
+    watched = filters.Watched(case.bench())
+    nats = next_of_bank(watched, ()).nats, float(filters.significances(watched)[0].max())
+    return {"case": case.name, **dict(zip(("bank", "augmented"), nats, strict=True))}
 
 
 # --- how they are graded --------------------------------------------------------------------------
@@ -342,6 +415,8 @@ METHODS = {
     "sparse": Method("sparse regression of accelerations (pysindy)", sparse),
     "bic": Method("refit every candidate, compare BIC", by_bic),
     "score": Method("score, nothing eliminated", by_score),
+    "bank": Method("bank of Kalman filters, one for each cause", by_bank),
+    "augmented": Method("Kalman filter of the state and all causes", by_augmented),
     "black_box": Method("black-box residual networks", black_box, not_graded),
     "worst_channel": Method("worst-fitting channel (an axis, not a cause)", worst_channel, by_axis),
 }
@@ -384,13 +459,13 @@ def row(case: Case, key: str, rounds: int) -> Row:
     }
 
 
-def compared(folders: Sequence[Path], out: Path, rounds: int) -> int:
+def compared(folders: Sequence[Path], out: Path, rounds: int, methods: Sequence[str]) -> int:
     """All methods on some logs of one vehicle, whose programs are compiled once; a file for each row."""
     jax.config.update("jax_enable_x64", True)
     with threadpool_limits(1, "blas"):
         for folder in folders:
             (out / folder.name).mkdir(parents=True, exist_ok=True)
-            for key in METHODS:
+            for key in methods:
                 path = out / folder.name / f"{key}.json"
                 if not path.exists():
                     path.write_text(json.dumps(row(opened(folder), key, rounds), indent=1) + "\n")
@@ -414,6 +489,23 @@ def summary(rows: Sequence[Row]) -> Row:
         "seconds": float(np.median([r["seconds"] for r in rows])) if rows else None,
         "ratio": float(np.median(ratios)) if ratios else None,
     }
+
+
+def claims(rows: Sequence[Row]) -> list[Row]:
+    """Whether the diagnosis answers right more often than each rival that names causes, on the same logs.
+
+    The whole answer; of what is outside the catalogue that it is said to be unknown.
+    """
+
+    def right(key: str) -> list[bool]:
+        own = sorted((r for r in rows if r["method"] == key), key=lambda r: r["case"])
+        return [bool(r["first"] if r["kind"] == "outside" else r["whole"]) for r in own]
+
+    met = {r["method"] for r in rows} - {"ours"}
+    rivals = [key for key, method in METHODS.items() if method.graded is by_name and key in met]
+    return discordant(
+        {f"right more often than {METHODS[key].title}": (right("ours"), right(key)) for key in rivals}
+    )
 
 
 COLUMNS = {
@@ -446,6 +538,21 @@ def table(found: dict[str, Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def told(results: Row) -> str:
+    """The table and the claims, as Markdown."""
+    return table(results["methods"]) + "\n" + "\n".join(map(in_a_line, results["claims"])) + "\n"
+
+
+def thresholds(folder: Path, out: Path) -> None:
+    """Writes and prints what the filters make of each log of a folder that hides nothing."""
+    with study(out, False):
+        opened_ones = (opened(path.parent) for path in sorted(folder.glob("*/answer.json")))
+        rows = [made_of_nothing(case) for case in opened_ones if grading.kind(case.answer) == "null"]
+    (out / "thresholds.json").write_text(json.dumps(rows, indent=1) + "\n")
+    for row in rows:
+        print(f"{row['case']}: bank {row['bank']:.1f}, augmented {row['augmented']:.1f} nats")
+
+
 def main(
     cases: Annotated[Path, typer.Option(help="Folder of logs that blind_matrix wrote.")],
     out: Annotated[Path, typer.Option(help="Folder for rows and the table.")],
@@ -453,9 +560,17 @@ def main(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sample.")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     quick: Annotated[bool, typer.Option("--quick", help="Three logs, one round of each search.")] = False,
+    without: Annotated[list[str] | None, typer.Option(help="Methods that are left out, by key.")] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Only what filters make of logs with nothing hidden.")
+    ] = False,
 ) -> None:
     """Compares the diagnosis with what one would use instead."""
+    if calibrate:
+        thresholds(cases, out)
+        return
     count, rounds, place = (3, 1, out / "rows_quick") if quick else (count, ROUNDS, out / "rows")
+    methods = [key for key in METHODS if key not in (without or ())]
     folders = sampled(cases, count, seed)
     ships: dict[str, list[Path]] = {}
     for folder in folders:
@@ -464,13 +579,14 @@ def main(
     pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1)
     with Progress(transient=True) as bar, pool:
         comparing = bar.add_task("comparing", total=len(folders))
-        tasks = [pool.submit(compared, some, place, rounds) for some in ships.values()]
+        tasks = [pool.submit(compared, some, place, rounds, methods) for some in ships.values()]
         for future in as_completed(tasks):
             bar.advance(comparing, future.result())
-    paths = [place / folder.name / f"{key}.json" for folder in folders for key in METHODS]
+    paths = [place / folder.name / f"{key}.json" for folder in folders for key in methods]
     rows = [json.loads(path.read_text()) for path in paths]
-    found = {key: summary([r for r in rows if r["method"] == key]) for key in METHODS}
-    write_results(out, {"seed": seed, "count": len(folders), "methods": found, "rows": rows}, table(found))
+    found = {key: summary([r for r in rows if r["method"] == key]) for key in methods}
+    results = {"seed": seed, "count": len(folders), "methods": found, "claims": claims(rows), "rows": rows}
+    write_results(out, results, told(results))
     print((out / "results.md").read_text())
 
 

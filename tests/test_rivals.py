@@ -82,7 +82,7 @@ def test_the_worst_channel_is_graded_by_axis(boat):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", ["ours", "bic", "score"])
+@pytest.mark.parametrize("key", ["ours", "bic", "score", "bank"])
 def test_a_plain_cause_is_named_and_buys_something(boat, key):
     row = rivals.row(boat, key, 1)
     assert row["first"] and row["found"][0] == NAME
@@ -108,3 +108,37 @@ def test_the_table_has_a_line_for_each_method():
     assert (
         "| 1 of 1 (21 to 100 %) | 0 of 1 (0 to 79 %) | – | – | 0 of 1 (0 to 79 %) | 1 | 3.0 | 0.750 |" in text
     )
+
+
+def test_a_rival_is_compared_log_by_log_by_whole_answers():
+    def rows(key: str, right: list[bool]) -> list[dict]:
+        return [
+            {
+                "method": key,
+                "case": f"{i}",
+                "kind": "outside" if i == 0 else "single",
+                "first": one,
+                "whole": whole,
+            }
+            for i, one in enumerate(right)
+            # What is outside is right where it is said to be unknown, whatever it is said to depend on.
+            for whole in [one and i > 0]
+        ]
+
+    keys = [key for key in rivals.METHODS if key not in ("black_box", "worst_channel")]
+    told = [row for key in keys for row in rows(key, [key == "ours"] * 8)]
+    found = rivals.claims(told)
+    assert [claim["claim"] for claim in found] == [
+        f"right more often than {rivals.METHODS[key].title}" for key in keys if key != "ours"
+    ]
+    assert all((claim["won"], claim["lost"], claim["verdict"]) == (8, 0, "holds") for claim in found)
+
+
+def test_the_page_has_the_numbers_of_the_kept_run():
+    kept = json.loads((rivals.HERE / "results.json").read_text())
+    rows = kept["rows"]
+    assert {key: rivals.summary([r for r in rows if r["method"] == key]) for key in kept["methods"]} == (
+        kept["methods"]
+    )
+    assert rivals.claims(rows) == kept["claims"]
+    assert rivals.told(kept).strip() in (rivals.HERE.parent / "README.md").read_text()

@@ -20,6 +20,7 @@ from .._errors import InputError
 from .._precision import need_double
 from .._progress import Progress, silent
 from .._types import AXES
+from ..effects import AbstractEffect
 from ..fitting import start_precision, wrapped
 from ..logs import Log
 from ..physics import late, step_lengths, to_euler
@@ -282,19 +283,22 @@ def plan(
     box: Box | None = None,
     seed: int = 0,
     progress: Progress = silent,
+    families: Sequence[type[AbstractEffect]] = (),
 ) -> Manoeuvre:
     """The commands over `duration` [s] that tell causes apart best, by the sensors that the file states.
 
     - `causes`: two or more, with the values at which they explain what was seen.
     - `box`: states to keep to, whichever cause is true; default `Box()`.
     - `seed`: of the random manoeuvres that it begins from.
+    - `families`: kinds of effects that its programs are to hold beside those of the causes. Plans for other
+      causes among the same kinds need not compile anew then, but each step takes longer.
 
     Raises `InputError` where there is nothing to command or to see, or no room. Source: optimal experiment
     design for telling models apart (Atkinson and Fedorov 1975, T-optimality), here with the rival, the
     file's coefficients and the windows' initial states refitted.
     """
     need_double("A plan")
-    problem = _causes(vehicle, causes, duration, Box() if box is None else box)
+    problem = _causes(vehicle, causes, duration, Box() if box is None else box, families)
     shape = (round(duration / HOLD), len(vehicle.command_names))
     rng = np.random.default_rng(seed)
     random = []
@@ -330,7 +334,13 @@ def _log(causes: _Causes, corners: Array, name: str) -> Log:
     return Log(np.asarray(causes.t), shown, np.asarray(commands), None, vehicle.command_names, name)
 
 
-def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Box) -> _Causes:
+def _causes(
+    vehicle: Vehicle,
+    causes: Sequence[Placed],
+    duration: float,
+    box: Box,
+    families: Sequence[type[AbstractEffect]] = (),
+) -> _Causes:
     if len(causes) < 2:
         raise InputError("A plan needs two causes to tell apart; name another one.")
     if not vehicle.command_names:
@@ -345,7 +355,8 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         raise InputError(
             f"{vehicle.name}: states no noise under [sensors]; say what is measured, and how well."
         )
-    families, layout = saturate(vehicle, tuple(dict.fromkeys((*FILED, *(type(c.effect) for c in causes)))))
+    kinds = dict.fromkeys((*FILED, *families, *(type(c.effect) for c in causes)))
+    held, layout = saturate(vehicle, tuple(kinds))
     base = base_coefficients(vehicle, layout)
     theta, columns, precision = [], [], []
     for cause in causes:
@@ -357,14 +368,18 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         bent[[c.index for c in others], range(len(others))] = 1.0
         columns.append(np.concatenate([layout.columns[i], bent], axis=1))
         precision.append(np.array([TRACE] * len(value) + [c.prior**-2 for c in others]))
-    width = max(map(len, precision))
-    columns = [np.pad(c, [(0, 0), (0, width - c.shape[1])]) for c in columns]
+    # As wide for any cause of these kinds.
+    width = len(base) + max(column.shape[1] for column in layout.columns)
+    columns = [np.pad(c, ((0, 0), (0, int(width - c.shape[1])))) for c in columns]
     precision = [np.pad(p, (0, width - len(p)), constant_values=1.0) for p in precision]
     depth = 0.5 * sum(box.depth) if "heave" in vehicle.dof else 0.0
     middle, half = _ranges(vehicle)
     crafts = [vehicle.place(cause) for cause in causes]
+    plant_of = SaturatedPlant(vehicle, held, jnp.ones((1, len(vehicle.placed))))
+    start = initial_state(vehicle, (0.0, 0.0, depth))
+    memory = jnp.zeros(6 * len(plant_of(jnp.asarray(layout.neutral), 0).memories))
     return _Causes(
-        SaturatedPlant(vehicle, families, jnp.ones((1, len(vehicle.placed)))),
+        plant_of,
         jnp.asarray(np.array(theta)),
         jnp.asarray(np.array(columns)),
         jnp.asarray(np.array(precision)),
@@ -372,7 +387,7 @@ def _causes(vehicle: Vehicle, causes: Sequence[Placed], duration: float, box: Bo
         jnp.asarray(middle),
         jnp.asarray(half),
         jnp.asarray(np.arange(round(duration / DT)) * DT),
-        initial_state(vehicle.place(*causes), (0.0, 0.0, depth)),
+        dataclasses.replace(start, memory=memory),
         max(substeps(craft, DT, box.speed) for craft in crafts),
         # As a diagnosis of such a log: each window has an initial state of its own.
         round(window_length(duration, DT) / DT),
