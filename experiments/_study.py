@@ -106,7 +106,7 @@ def discordant(pairs: Mapping[str, tuple[Sequence[bool], Sequence[bool]]]) -> li
     Only cases count that one of them has right and the other one not. A claim holds, or is refuted, where the
     two-sided p is below `LEVEL` after Holm's correction for all claims; else these cases do not decide it.
     """
-    out = []
+    out = list[dict[str, Any]]()
     for words, (one, other) in pairs.items():
         both = np.array([one, other], bool)
         won, lost = int((both[0] & ~both[1]).sum()), int((both[1] & ~both[0]).sum())
