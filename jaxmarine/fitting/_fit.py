@@ -16,6 +16,7 @@ from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
+from ._hidden import MANY, hidden_layers, train_one_step, train_trajectory
 from ._noise import median_noise, noises_of, tell_missed, widened
 from ._one_step import fit_one_step
 from ._review import reviewed
@@ -103,6 +104,7 @@ def fit(
     free: Select,
     *,
     loss: Literal["trajectory", "one_step"] = "trajectory",
+    solver: Literal["auto", "gauss_newton", "gradients"] = "auto",
     starts: Literal["estimated", "measured"] = "estimated",
     prior: float | PyTree | None = None,
     entries: Selection = "all",
@@ -184,17 +186,46 @@ def fit(
         noise = median_noise(np.concatenate([widened(one, width) for one in each]), names)
     # Channels that a given one does not tell are not to be used.
     noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
-    freed, scales = set_free(vehicle, free, prior, entries, dissipative, spreads=dict(vehicle.prior))
+    hidden = hidden_layers(vehicle, free, prior)
+    if solver == "gradients" and not hidden.count:
+        raise ValueError("Argument `solver`: nothing in hidden layers is free that gradients could train.")
+    if solver == "gauss_newton" or (solver == "auto" and hidden.count <= MANY):
+        hidden = None
+    if hidden and shares is not None:
+        raise ValueError("Hidden layers are trained on logs that lie in one place; hand these over.")
+    freed, scales = set_free(
+        vehicle,
+        free,
+        prior,
+        entries,
+        dissipative,
+        spreads=dict(vehicle.prior),
+        without=hidden.places if hidden else (),
+    )
     z_units = units(freed, scales)
     held = starts == "measured"
-    if shares is not None:
-        estimate = fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
-    elif loss == "trajectory":
-        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh)
-    else:
-        estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
+
+    def solved(freed: Freed, z: Float[np.ndarray, " z"]) -> Estimate:
+        if shares is not None:
+            return fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
+        if loss == "trajectory":
+            return fit_trajectory(
+                freed, z_units, logs, noise, window, max_steps, held, reject, weigh, z
+            )
+        return fit_one_step(freed, z_units, logs, noise, window, max_steps, z)
+
+    estimate, told = solved(freed, np.zeros(len(z_units.precision))), ""
+    if hidden and estimate.finite:
+        if loss == "trajectory":
+            trained = train_trajectory(hidden, freed, z_units, logs, noise, window, held, estimate)
+        else:
+            trained = train_one_step(hidden, freed, z_units, logs, noise, estimate)
+        freed, told, before = trained.freed, f"; {trained.told}", estimate.steps
+        estimate = solved(freed, trained.z)
+        estimate = dataclasses.replace(estimate, steps=before + estimate.steps)
     found = uncertainty(freed, scales, z_units, estimate)
     estimate = _judged(estimate, freed, z_units, found)
+    estimate = dataclasses.replace(estimate, result=estimate.result + told)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")
     missed = tell_missed(vehicle, names, estimate.left, noise, window) if weigh and estimate.finite else None
