@@ -6,7 +6,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
@@ -16,13 +16,13 @@ from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
-from ._hidden import MANY, hidden_layers, train_one_step, train_trajectory
+from ._hidden import MANY, by_samples, by_windows, hidden_layers, train
 from ._noise import median_noise, noises_of, tell_missed, widened
 from ._one_step import fit_one_step
 from ._review import reviewed
 from ._shares import AbstractShares, fit_shares
 from ._trajectory import fit_trajectory
-from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
+from ._uncertainty import Combination, Parameter, Posterior, Uncertainty, posterior, uncertainty
 
 # Half a chi-square that is not worth another step: a third of a standard error.
 _WITHIN_NOISE = 0.05
@@ -44,7 +44,8 @@ class Fit:
 
     - `vehicle`, and the `start` it was fitted from.
     - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do
-      not determine.
+      not determine; without hidden layers that gradients trained (`solver`).
+    - `posterior`: the vehicles that the data leave, to `draw` from.
     - `reduced_chi2`: chi-square per degree of freedom in units of `noise`; 1 where noise alone is left. For
       the one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
     - `left` [channels]: root mean square error that the model leaves in each channel over a window, NaN where
@@ -60,6 +61,7 @@ class Fit:
     vehicle: Vehicle
     start: Vehicle
     uncertainty: Uncertainty
+    posterior: Posterior
     reduced_chi2: float
     steps: int
     converged: bool
@@ -88,6 +90,15 @@ class Fit:
         """Combinations of parameters that the data do not determine."""
         return self.uncertainty.undetermined
 
+    def draw(self, count: int, key: PRNGKeyArray) -> tuple[Vehicle, ...]:
+        """So many vehicles as likely as the data and the prior leave them: simulated, they make a band.
+
+        They scatter by `std_model` with all correlations and keep the constraints of the fit. Of a network whose
+        hidden layers gradients trained the last layer scatters, with mass and damping: Laplace's approximation
+        there. A band of them is that of what was fitted, without what the model lacks and without noise.
+        """
+        return self.posterior.draw(count, key)
+
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name, such as `damping.linear[surge]`."""
         return {p.name: p for p in self.parameters}[name]
@@ -115,7 +126,7 @@ def fit(
     throw: bool = True,
     noise: Float[np.ndarray, " channels"] | None = None,
 ) -> Fit:
-    r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt.
+    r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt, hidden layers by gradients.
 
     Minimises, over the freed entries p and (trajectory) the initial state $x_w$ of every window,
     $\sum_w \sum_k |(\hat y_k(p, x_w) - y_k) / \sigma|^2 + \sum_i ((p_i - p_{i,0}) / s_i)^2$.
@@ -128,6 +139,12 @@ def fit(
     - `loss`: "trajectory" compares all measured channels over windows and is consistent under
       sensor noise; "one_step" compares accelerations at each sample and is biased by noise in the
       velocities.
+    - `solver`: "gauss_newton" fits all numbers alike; time and memory grow with the square of how many these
+      are, and more. "gradients" is for learned terms of many: Gauss-Newton fits all but hidden layers (those
+      before the last, among an Equinox network's `layers`, or numbered in its arrays' names), reverse gradients
+      and Adam then train these and all else with them over minibatches, and Gauss-Newton ends it. `converged`
+      tells of that end; hidden layers stop by schedule, and `result` tells what they gained. "auto" takes
+      gradients above 500 weights in hidden layers, where they were measured to serve better.
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.
@@ -186,6 +203,10 @@ def fit(
         noise = median_noise(np.concatenate([widened(one, width) for one in each]), names)
     # Channels that a given one does not tell are not to be used.
     noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
+    if solver not in ("auto", "gauss_newton", "gradients"):
+        raise ValueError(
+            f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}."
+        )
     hidden = hidden_layers(vehicle, free, prior)
     if solver == "gradients" and not hidden.count:
         raise ValueError("Argument `solver`: nothing in hidden layers is free that gradients could train.")
@@ -217,9 +238,10 @@ def fit(
     estimate, told = solved(freed, np.zeros(len(z_units.precision))), ""
     if hidden and estimate.finite:
         if loss == "trajectory":
-            trained = train_trajectory(hidden, freed, z_units, logs, noise, window, held, estimate)
+            training = by_windows(hidden, freed, z_units, logs, noise, window, held, estimate)
         else:
-            trained = train_one_step(hidden, freed, z_units, logs, noise, estimate)
+            training = by_samples(hidden, freed, z_units, logs, noise, estimate)
+        trained = train(training, estimate.z)
         freed, told, before = trained.freed, f"; {trained.told}", estimate.steps
         estimate = solved(freed, trained.z)
         estimate = dataclasses.replace(estimate, steps=before + estimate.steps)
@@ -233,6 +255,7 @@ def fit(
         vehicle=freed(jnp.asarray(estimate.raw)),
         start=vehicle,
         uncertainty=found,
+        posterior=posterior(freed, z_units, estimate),
         reduced_chi2=estimate.chi2 / max(estimate.freedom, 1.0),
         steps=estimate.steps,
         converged=estimate.converged,

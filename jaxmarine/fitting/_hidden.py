@@ -12,7 +12,7 @@ Hein and Hennig (2020), ICML, and Daxberger et al. (2021), NeurIPS (Laplace's ap
 import dataclasses
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -106,6 +106,7 @@ class Training(eqx.Module):
 
     - `task`: of the fit beside it; `delta` [windows, 12]: the initial states of its windows, held.
     - `start`, `width`, `precision`: of the hidden leaves, which stand at `places` of the vehicle.
+    - `count`: of windows (or samples, one-step); `batch`: how many of them an update takes.
     """
 
     task: Task | OneStep
@@ -115,18 +116,25 @@ class Training(eqx.Module):
     precision: tuple[Array, ...]
     places: tuple[int, ...] = eqx.field(static=True)
     count: int = eqx.field(static=True)
+    batch: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, hidden: Hidden, task: Task | OneStep, delta: Array | None, count: int, most: int) -> Self:
+        """From the vehicle of the task; `most`: windows or samples in an update, if there are so many."""
+        problem: Any = task.problem
+        leaves = jax.tree.leaves(problem.plant_of.freed.vehicle)
+        start = tuple(jnp.asarray(leaves[place]) for place in hidden.places)
+        width, precision = (tuple(map(jnp.asarray, a)) for a in (hidden.width, hidden.precision))
+        return cls(task, delta, start, width, precision, hidden.places, count, min(most, count))
 
     def freed(self, layers: tuple[Array, ...]) -> Freed:
         """What is free beside the hidden layers, with these in the vehicle."""
-        freed = self._problem.plant_of.freed
+        problem: Any = self.task.problem
+        freed = problem.plant_of.freed
         leaves, structure = jax.tree.flatten(freed.vehicle)
         for place, start, width, layer in zip(self.places, self.start, self.width, layers, strict=True):
             leaves[place] = start + width * layer
         return dataclasses.replace(freed, vehicle=jax.tree.unflatten(structure, leaves))
-
-    @property
-    def _problem(self) -> Any:
-        return self.task.problem
 
     def __call__(self, at: Unknowns, batch: Int[Array, " batch"] | None = None) -> Float[Array, ""]:
         """At some windows (or samples, one-step), as if all were like these; None: at all of them."""
@@ -177,7 +185,7 @@ class Trained:
     told: str
 
 
-def train_trajectory(
+def by_windows(
     hidden: Hidden,
     freed: Freed,
     units: Units,
@@ -186,8 +194,8 @@ def train_trajectory(
     window: float,
     held: bool,
     near: Estimate,
-) -> Trained:
-    """By the windows, with the weights and the initial states of the fit `near`, which holds hidden layers."""
+) -> Training:
+    """By trajectories, with the weights and the initial states of the fit `near`, which holds hidden layers."""
     acting = segments(freed.vehicle, logs)
     data = cut(freed.vehicle, logs, noise, window, segments=acting.of_samples)
     split = max(substeps(freed(jnp.asarray(raw)), data.hold) for raw in (freed.start, near.raw))
@@ -202,43 +210,29 @@ def train_trajectory(
     delta = refine_windows(dataclasses.replace(task, affine=there), nothing[1], nothing[0], _STARTS).delta
     # Reverse mode takes a loop only where its length is a number.
     task = dataclasses.replace(task, problem=dataclasses.replace(task.problem, split=split))
-    return _trained(hidden, task, delta, near.z, data.windows.count, WINDOWS)
+    return Training.of(hidden, task, delta, data.windows.count, WINDOWS)
 
 
-def train_one_step(
+def by_samples(
     hidden: Hidden,
     freed: Freed,
     units: Units,
     logs: Sequence[Log],
     noise: Float[np.ndarray, " channels"],
     near: Estimate,
-) -> Trained:
-    """By the samples, with axes that weigh by what the fit `near` leaves of them, which holds hidden layers."""
+) -> Training:
+    """By one step, with axes that weigh by what the fit `near` leaves of them, which holds hidden layers."""
     task = weighed_by_scatter(one_step(freed, units, logs, noise), jnp.asarray(near.z))
-    return _trained(hidden, task, None, near.z, task.problem.records.t.size, SAMPLES)
+    return Training.of(hidden, task, None, task.problem.records.t.size, SAMPLES)
 
 
-def _trained(
-    hidden: Hidden, task: Task | OneStep, delta: Array | None, z: np.ndarray, count: int, most: int
-) -> Trained:
-    """From z and the layers as they are; these are what is left where training gains nothing."""
-    problem: Any = task.problem
-    leaves = jax.tree.leaves(problem.plant_of.freed.vehicle)
-    training = Training(
-        task,
-        delta,
-        tuple(jnp.asarray(leaves[place]) for place in hidden.places),
-        tuple(map(jnp.asarray, hidden.width)),
-        tuple(map(jnp.asarray, hidden.precision)),
-        hidden.places,
-        count,
-    )
+def train(training: Training, z: Float[np.ndarray, " z"]) -> Trained:
+    """From z and the layers as they are, which are what is left where it gains nothing."""
     start = Unknowns(jnp.asarray(z), tuple(jnp.zeros_like(a) for a in training.start))
-    rng, batch = np.random.default_rng(0), min(most, count)
-    epochs = -(-UPDATES * batch // count)
-    order = np.concatenate([rng.permutation(count) for _ in range(epochs)])
-    batches = jnp.asarray(order[: UPDATES * batch].reshape(UPDATES, batch))
-    end, before, after = descended(training, start, batches)
+    rng, shape = np.random.default_rng(0), (UPDATES, training.batch)
+    epochs = -(-UPDATES * training.batch // training.count)
+    order = np.concatenate([rng.permutation(training.count) for _ in range(epochs)])
+    end, before, after = descended(training, start, jnp.asarray(np.resize(order, shape)))
     gained = float(before - after)
     if not gained > 0:
         end = start

@@ -1,0 +1,226 @@
+"""Networks of many weights inside the physics: trained by gradients, with error bars of their last layer."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxmarine as jm
+from jaxmarine._types import CHANNELS
+from jaxmarine.effects import Motion, WrenchEffect
+from jaxmarine.examples import hidden
+from jaxmarine.fitting._estimate import Estimate, units
+from jaxmarine.fitting._free import set_free
+from jaxmarine.fitting._hidden import Unknowns, by_samples, by_windows, hidden_layers
+from jaxmarine.networks import learned_wrench
+from tests.crafts import packaged
+
+
+class Force(WrenchEffect):
+    """X = f(u / 0.25) - f(0) [N] of an Equinox network f, in surge."""
+
+    name = "network"
+    units = {}
+
+    arrays: eqx.Module
+    frame: eqx.Module = eqx.field(static=True)
+
+    @classmethod
+    def neutral(cls, craft):
+        raise NotImplementedError
+
+    @classmethod
+    def suspects(cls, craft):
+        return ()
+
+    def force(self, u):
+        f = eqx.combine(self.arrays, self.frame)
+        return (f(u / 0.25) - f(jnp.zeros(1)))[0]
+
+    def __call__(self, motion: Motion):
+        return jnp.zeros(6).at[0].set(self.force(motion.nu_r[:1]))
+
+
+def with_network(craft, width, depth=2):
+    net = eqx.nn.MLP(1, 1, width, depth, activation=jnp.tanh, key=jax.random.key(0))
+    return craft.place(jm.Placed(Force(*eqx.partition(net, eqx.is_array))))
+
+
+def free(vehicle):
+    return vehicle.placed[0].effect.arrays, vehicle.added_mass, vehicle.damping.linear
+
+
+def prior_of(vehicle, *stds):
+    return tuple(
+        jax.tree.map(lambda x, s=std: jnp.full_like(x, s), part)
+        for part, std in zip(free(vehicle), stds, strict=True)
+    )
+
+
+SHIP = packaged("cybership2")
+HEAVY = eqx.tree_at(lambda v: v.added_mass, SHIP, replace_fn=lambda m: m.at[0, 0].add(6.0))  # [kg]
+TRAIN, _ = hidden(SHIP, "quadratic_damping", "surge", {"value": 8.0}, duration=(60.0, 5.0), dt=0.2)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """Mass and damping with a network of 650 weights, beside a mass that is wrong by 6 kg."""
+    start = with_network(HEAVY, 24)
+    return jm.fit(
+        start, TRAIN, free, loss="one_step", prior=prior_of(start, 1.0, 10.0, 1.0), entries="diagonal"
+    )
+
+
+def test_what_comes_before_the_last_layer_is_hidden():
+    net = with_network(SHIP, 4)
+    found = hidden_layers(net, free, prior_of(net, 2.0, 10.0, 1.0))
+    assert found.count == (4 + 4) + (16 + 4)
+    assert all((width == 2.0).all() for width in found.width)
+    # Numbered arrays likewise; a number as prior is relative, and 1 is the size of what is zero.
+    term = learned_wrench(
+        "surge", ("u",), (), np.array([-1.0]), np.array([1.0]), 1.0, jax.random.key(0), 5
+    )
+    placed = SHIP.place(jm.Placed(term, "surge"))
+    own = hidden_layers(placed, lambda v: v.placed[0].effect.network, 0.5)
+    first = placed.placed[0].effect.weight_1
+    assert own.count == first.size + 5
+    np.testing.assert_allclose(own.width[0], 0.5 * np.abs(first))
+    assert hidden_layers(SHIP, lambda v: v.damping.linear, None).count == 0
+
+
+@pytest.mark.parametrize("loss", ["one_step", pytest.param("trajectory", marks=pytest.mark.slow)])
+def test_reverse_gradients_are_those_of_forward_mode(loss):
+    start = with_network(HEAVY, 3)
+    options = {"prior": prior_of(start, 1.0, 10.0, 1.0), "entries": "diagonal"}
+    layers = hidden_layers(start, free, options["prior"])
+    freed, scales = set_free(start, free, **options, without=layers.places)
+    z_units, noise = units(freed, scales), start.stated_noise
+    nothing = np.zeros(len(z_units.precision))
+    near = Estimate(
+        nothing, np.asarray(freed.start), *[np.zeros(0)] * 3, 0.0, 0.0, 0, True, "", np.ones(len(noise)), noise
+    )
+    if loss == "one_step":
+        training = by_samples(layers, freed, z_units, [TRAIN], noise, near)
+    else:
+        training = by_windows(layers, freed, z_units, [TRAIN], noise, 4.0, False, near)
+    rng = np.random.default_rng(0)
+
+    def drawn(size):
+        return Unknowns(
+            jnp.asarray(size * rng.normal(size=len(nothing))),
+            tuple(jnp.asarray(size * rng.normal(size=a.shape)) for a in training.start),
+        )
+
+    at, along, batch = drawn(0.1), drawn(1.0), jnp.asarray([0, 3, 5, 3])
+    reverse = eqx.filter_jit(jax.grad(training))(at, batch)
+    forward = eqx.filter_jit(lambda at, way: jax.jvp(lambda x: training(x, batch), (at,), (way,)))(at, along)
+    products = jax.tree.map(lambda a, b: (a * b).sum(), reverse, along)
+    slope = sum(jax.tree.leaves(products))
+    assert all(float(jnp.abs(leaf).max()) > 0 for leaf in jax.tree.leaves(reverse))
+    np.testing.assert_allclose(slope, forward[1], rtol=1e-9)
+
+
+def test_a_network_of_many_weights_is_trained_with_mass_and_damping(fit):
+    assert fit.converged and "hidden layers trained by" in fit.result
+    assert not any("layers[0]" in p.name or "layers[1]" in p.name for p in fit.parameters)
+    mass = fit["added_mass[surge]"]
+    assert mass.start == pytest.approx(8.0)
+    assert mass.value == pytest.approx(2.0, abs=3 * mass.std_model)
+    before, after = (v.placed[0].effect for v in (fit.start, fit.vehicle))
+    for k in range(3):
+        moved = after.arrays.layers[k].weight - before.arrays.layers[k].weight
+        assert float(jnp.abs(moved).max()) > 1e-3
+    more = float((fit.vehicle.damping.linear - SHIP.damping.linear)[0, 0])
+    for u in (-0.2, 0.1, 0.2):  # where the log went; a tenth of a newton is a share of a tenth there
+        force = float(after.force(jnp.array([u]))) - more * u
+        assert force == pytest.approx(-8.0 * u * abs(u), abs=0.05)
+
+
+def test_a_band_is_wider_where_the_network_has_seen_nothing(fit):
+    drawn = fit.draw(30, jax.random.key(1))
+    assert all(np.linalg.eigvalsh(np.asarray(v.mass_matrix)).min() > 0 for v in drawn)
+    forces = np.array(
+        [[float(v.placed[0].effect.force(jnp.array([u]))) for u in (0.15, 0.6)] for v in drawn]
+    )
+    assert forces[:, 1].std() > 3 * forces[:, 0].std()
+    # Simulated: full ahead leaves the speeds of the log, which end at 0.3 m/s.
+    t = np.arange(0.0, 20.0, 0.2)
+    spread = []
+    for thrust in (0.1, 1.0):
+        commands = np.tile([thrust, thrust, 0.0], (len(t), 1))
+        log = jm.Log(t, np.full((len(t), len(CHANNELS)), np.nan), commands, None, SHIP.thruster_names, "ahead")
+        tracks = [np.asarray(jm.simulate(v, log, jm.initial_state(v))["u"]) for v in drawn[:10]]
+        spread.append(np.std(tracks, axis=0)[-1])
+    assert spread[1] > 3 * spread[0]
+
+
+def test_the_error_bars_of_a_last_layer_are_those_of_ridge_regression():
+    """X = sum_j w_j (h_j(u) - h_j(0)) with weights of prior width s: cov = (H'H / sigma² + 1 / s²)^-1."""
+    start, s = with_network(SHIP, 3, depth=1), 0.7
+    rng, t = np.random.default_rng(2), np.arange(0.0, 60.0, 0.2)
+    channels = np.full((len(t), len(CHANNELS)), np.nan)
+    channels[:, :12] = 0.0
+    channels[:, 6] = 0.2 * np.sin(0.5 * t) + 0.1 * np.sin(1.3 * t)
+    channels[:, 0] = 0.4 * (1 - np.cos(0.5 * t)) + 0.1 / 1.3 * (1 - np.cos(1.3 * t))
+    channels[:, 12:] = 0.0
+    channels[:, 12] = 0.1 * np.cos(0.5 * t) + 0.13 * np.cos(1.3 * t) + 0.02 * rng.normal(size=len(t))
+    mass = float(SHIP.mass_matrix[0, 0])
+    # By the control wrench all else that acts is balanced: the network alone is left.
+    u = channels[:, 6]
+    drag = float(SHIP.damping.linear[0, 0]) * u + float(SHIP.damping.quadratic[0, 0]) * np.abs(u) * u
+    wrench = np.zeros((len(t), 6))
+    wrench[:, 0] = mass * channels[:, 12] + drag + 0.3 * np.tanh(u / 0.2) + 0.2 * rng.normal(size=len(t))
+    log = jm.Log(t, channels, None, wrench, (), "tank")
+    net = start.placed[0].effect.arrays
+
+    def only(vehicle):
+        return vehicle.placed[0].effect.arrays.layers
+
+    prior = jax.tree.map(lambda a: jnp.full_like(a, s), only(start))
+    # The last bias has no force.
+    prior = eqx.tree_at(lambda p: p[-1].bias, prior, jnp.zeros(1))
+    found = jm.fit(start, log, only, loss="one_step", solver="gradients", prior=prior)
+    first = found.vehicle.placed[0].effect.arrays.layers[0]
+    assert float(jnp.abs(first.weight - net.layers[0].weight).max()) > 1e-3
+
+    def nodes(u):
+        return np.tanh(np.asarray(first.weight)[:, 0] * u[:, None] / 0.25 + np.asarray(first.bias))
+
+    features = (nodes(u) - nodes(np.zeros(1))) / mass
+    right = channels[:, 12] - (wrench[:, 0] - drag) / mass
+    anchor = np.asarray(net.layers[1].weight)[0]
+
+    def ridge(sigma):
+        information = features.T @ features / sigma**2 + np.eye(3) / s**2
+        return np.linalg.solve(information, features.T @ right / sigma**2 + anchor / s**2), information
+
+    # First weighed by how much the acceleration changes, then by what that leaves.
+    rest = right - features @ ridge(channels[:, 12].std())[0]
+    values, information = ridge(np.sqrt((rest**2).mean()))
+    np.testing.assert_allclose([p.value for p in found.parameters], values, rtol=1e-4)
+    np.testing.assert_allclose(found.uncertainty.covariance_model, np.linalg.inv(information), rtol=1e-4)
+    root = found.posterior.root
+    np.testing.assert_allclose(root @ root.T, np.linalg.inv(information), rtol=1e-4)
+    many = np.array([v.placed[0].effect.arrays.layers[1].weight[0] for v in found.draw(4000, jax.random.key(0))])
+    np.testing.assert_allclose(np.cov(many.T), np.linalg.inv(information), rtol=0.2, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"solver": "newton"}, "but is 'newton'"), ({"solver": "gradients"}, "nothing in hidden layers is free")],
+)
+def test_what_no_training_can_be_is_said(options, said):
+    with pytest.raises(ValueError, match=said):
+        jm.fit(SHIP, TRAIN, lambda v: v.damping.linear, **options)
+
+
+@pytest.mark.slow
+def test_trajectories_train_as_well(fit):
+    start = with_network(HEAVY, 8)
+    prior = prior_of(start, 1.0, 10.0, 1.0)
+    found = jm.fit(start, TRAIN, free, solver="gradients", prior=prior, entries="diagonal")
+    mass = found["added_mass[surge]"]
+    assert found.converged and found.reduced_chi2 < 1.1
+    assert mass.value == pytest.approx(2.0, abs=3 * mass.std_model)
+    assert mass.std_model < fit["added_mass[surge]"].std_model
