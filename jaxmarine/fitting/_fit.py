@@ -93,9 +93,10 @@ class Fit:
     def draw(self, count: int, key: PRNGKeyArray) -> tuple[Vehicle, ...]:
         """So many vehicles as likely as the data and the prior leave them: simulated, they make a band.
 
-        They scatter by `std_model` with all correlations and keep the constraints of the fit. Of a network whose
-        hidden layers gradients trained the last layer scatters, with mass and damping: Laplace's approximation
-        there. A band of them is that of what was fitted, without what the model lacks and without noise.
+        They scatter as `std_model` says, with all correlations, and keep the constraints of the fit. Where
+        gradients trained hidden layers, these stand, and the last layer scatters with mass and damping
+        (Laplace's approximation in the last layer). A band of them shows what the data leave open, without what
+        the model lacks and without noise.
         """
         return self.posterior.draw(count, key)
 
@@ -139,12 +140,12 @@ def fit(
     - `loss`: "trajectory" compares all measured channels over windows and is consistent under
       sensor noise; "one_step" compares accelerations at each sample and is biased by noise in the
       velocities.
-    - `solver`: "gauss_newton" fits all numbers alike; time and memory grow with the square of how many these
-      are, and more. "gradients" is for learned terms of many: Gauss-Newton fits all but hidden layers (those
-      before the last, among an Equinox network's `layers`, or numbered in its arrays' names), reverse gradients
-      and Adam then train these and all else with them over minibatches, and Gauss-Newton ends it. `converged`
-      tells of that end; hidden layers stop by schedule, and `result` tells what they gained. "auto" takes
-      gradients above 500 weights in hidden layers, where they were measured to serve better.
+    - `solver`: "gauss_newton" fits all numbers alike, in time and memory of the square of how many there are,
+      and more. "gradients" is for learned terms of many: Gauss-Newton fits all but hidden layers (before the
+      last, in a network's `layers` or numbered in the names of its arrays), then reverse gradients and Adam
+      train these with all else over minibatches, and Gauss-Newton ends it. `converged` tells of that end;
+      hidden layers stop by schedule, and `result` tells what they gained. "auto" takes gradients for more
+      than 200 weights in hidden layers, where they were measured to serve better.
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.
@@ -204,9 +205,7 @@ def fit(
     # Channels that a given one does not tell are not to be used.
     noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
     if solver not in ("auto", "gauss_newton", "gradients"):
-        raise ValueError(
-            f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}."
-        )
+        raise ValueError(f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}.")
     hidden = hidden_layers(vehicle, free, prior)
     if solver == "gradients" and not hidden.count:
         raise ValueError("Argument `solver`: nothing in hidden layers is free that gradients could train.")
@@ -230,9 +229,7 @@ def fit(
         if shares is not None:
             return fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
         if loss == "trajectory":
-            return fit_trajectory(
-                freed, z_units, logs, noise, window, max_steps, held, reject, weigh, z
-            )
+            return fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh, z)
         return fit_one_step(freed, z_units, logs, noise, window, max_steps, z)
 
     estimate, told = solved(freed, np.zeros(len(z_units.precision))), ""

@@ -6,7 +6,7 @@ thousands of numbers, whose information is larger than a memory; they go down th
 them. Error bars are those of what Gauss-Newton fits, at the hidden layers as they are trained.
 
 Source: Golub and Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432 (what is linear is solved for); Kristiadi,
-Hein and Hennig (2020), ICML, and Daxberger et al. (2021), NeurIPS (Laplace's approximation in the last layer).
+Hein and Hennig (2020), ICML (Laplace's approximation in the last layer).
 """
 
 import dataclasses
@@ -35,12 +35,14 @@ from ._weights import scaled
 from ._windows import cut
 
 # Weights in hidden layers, above which gradients train them.
-MANY = 500
-# Updates of a training, windows and samples in each, and the largest step in units of the prior's width.
-UPDATES, WINDOWS, SAMPLES, RATE = 1000, 16, 256, 1e-2
+MANY = 200
+# Updates of a training, windows and samples in each, the largest step in widths of the prior, and the slope,
+# in nats per width, below which a weight is not worth such a step: thousands of weights that do not matter
+# would else wander off by the noise of the batches, and cost more prior than all others gain.
+UPDATES, WINDOWS, SAMPLES, RATE, SLOPE = 1000, 16, 256, 1e-2, 1.0
 # Steps of the initial states of windows before it.
 _STARTS = 4
-# A layer among others: by its place among an Equinox network's `layers`, or by the number in its arrays' names.
+# A layer among others: by its place among a network's `layers`, or by the number in the names of its arrays.
 _LAYER = re.compile(r"^(.*)\.(?:layers\[(\d+)\].*|(?:weight|bias)_(\d+))$")
 
 
@@ -165,7 +167,7 @@ def descended(training: Training, start: Unknowns, batches: Int[Array, "updates 
 
     schedule = optax.cosine_decay_schedule(RATE, len(batches))
     # A batch from which a simulation runs away changes nothing.
-    rule = optax.apply_if_finite(optax.adam(schedule), len(batches))
+    rule = optax.apply_if_finite(optax.adam(schedule, eps=SLOPE), len(batches))
 
     def update(carry, batch):
         now, state = carry
@@ -195,7 +197,7 @@ def by_windows(
     held: bool,
     near: Estimate,
 ) -> Training:
-    """By trajectories, with the weights and the initial states of the fit `near`, which holds hidden layers."""
+    """By trajectories, with the weights and initial states of the fit `near`, which holds hidden layers."""
     acting = segments(freed.vehicle, logs)
     data = cut(freed.vehicle, logs, noise, window, segments=acting.of_samples)
     split = max(substeps(freed(jnp.asarray(raw)), data.hold) for raw in (freed.start, near.raw))

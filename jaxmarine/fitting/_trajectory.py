@@ -78,7 +78,7 @@ def fit_trajectory(
     weigh: bool,
     z: Float[np.ndarray, " z"],
 ) -> Estimate:
-    """Minimises the chi-square of the windows over z, from there on, and all initial states, unless those are held.
+    """Minimises the chi-square of the windows over z and all initial states, unless those are held, from z.
 
     - `reject`: leaves out costly windows, see `_without_costly`.
     - `weigh`: channels count by what the model leaves in them, where that is more than `noise`.
