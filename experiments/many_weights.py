@@ -2,12 +2,12 @@
 
 usage: python -m experiments.many_weights --out DIR [--quick]
 
-The ship and the logs are those of `nonlinear_damping`: CyberShip II with a pod, lift, cross-flow and wave drag,
-by a file whose inertia is 30 % too large. Mass, linear and quadratic damping and a network of the velocities
-with two hidden layers are fitted to one log by trajectories, by Gauss-Newton in all numbers or by gradients in
-the hidden layers. Measured are processor time and memory of the fit, compilation included, and the error of
-predictions over 10 s on a log that was not fitted. Every fit has a process of its own. What Gauss-Newton has no
-room for is told by the memory of its information alone: windows times weights squared.
+The ship and the logs are those of `nonlinear_damping`: CyberShip II with a pod, lift, cross-flow and wave
+drag, by a file whose inertia is 30 % too large. Mass, linear and quadratic damping and a network of the
+velocities with two hidden layers are fitted to one log by trajectories: by Gauss-Newton in all numbers, or by
+gradients in the hidden layers. Measured are processor time and memory of the fit, compilation included, and
+the error of predictions over 10 s on a log that was not fitted. Every fit has a process of its own. What
+Gauss-Newton has no room for is told by the memory of its information alone: windows times weights squared.
 """
 
 import concurrent.futures
@@ -140,10 +140,8 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for results and tables.")] = HERE,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="One small network, a short log, few steps.")
-    ] = False,
+    out: Annotated[Path, typer.Option(help="Folder for results and tables.")],
+    quick: Annotated[bool, typer.Option("--quick", help="A small network, a short log, few steps.")] = False,
 ) -> None:
     """Compares Gauss-Newton with gradients over the number of weights."""
     size = QUICK if quick else Size()

@@ -112,6 +112,7 @@ def test_what_comes_before_the_last_layer_is_hidden():
     assert own.count == first.size + 5
     np.testing.assert_allclose(own.width[0], 0.5 * np.abs(first))
     assert hidden_layers(SHIP, lambda v: v.damping.linear, None).count == 0
+    assert hidden_layers(net, lambda v: v.placed[0].effect.arrays.layers[0].weight, None).count == 0
 
 
 @pytest.mark.parametrize("loss", ["one_step", pytest.param("trajectory", marks=pytest.mark.slow)])
@@ -202,7 +203,7 @@ def test_a_band_is_wider_where_the_network_has_seen_nothing(fit):
 
 
 @pytest.mark.parametrize(
-    ("solver", "said"), [("newton", "but is 'newton'"), ("gradients", "nothing in hidden layers is free")]
+    ("solver", "said"), [("newton", "but is 'newton'"), ("gradients", "beside the last one")]
 )
 def test_what_no_training_can_be_is_said(solver, said):
     with pytest.raises(ValueError, match=said):

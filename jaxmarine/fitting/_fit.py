@@ -47,7 +47,8 @@ class Fit:
       not determine; without hidden layers that gradients trained (`solver`).
     - `posterior`: the vehicles that the data leave, to `draw` from.
     - `reduced_chi2`: chi-square per degree of freedom in units of `noise`; 1 where noise alone is left. For
-      the one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
+      the one-step loss it is 1 by construction, because the scatter is estimated from the residuals. Weights
+      of hidden layers that gradients trained (`solver`) are not counted.
     - `left` [channels]: root mean square error that the model leaves in each channel over a window, NaN where
       it was not measured; `weighed` [channels]: standard deviations that they counted by at last, which are
       `noise` where that is all that is left, and larger where it is not (trajectory loss).
@@ -95,8 +96,8 @@ class Fit:
 
         They scatter as `std_model` says, with all correlations, and keep the constraints of the fit. Where
         gradients trained hidden layers, these stand, and the last layer scatters with mass and damping
-        (Laplace's approximation in the last layer). A band of them shows what the data leave open, without what
-        the model lacks and without noise.
+        (Laplace's approximation in the last layer). A band of them shows what the data leave open, without
+        noise and without what the model lacks.
         """
         return self.posterior.draw(count, key)
 
@@ -207,12 +208,11 @@ def fit(
     if solver not in ("auto", "gauss_newton", "gradients"):
         raise ValueError(f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}.")
     hidden = hidden_layers(vehicle, free, prior)
-    if solver == "gradients" and not hidden.count:
-        raise ValueError("Argument `solver`: nothing in hidden layers is free that gradients could train.")
-    if solver == "gauss_newton" or (solver == "auto" and hidden.count <= MANY):
-        hidden = None
-    if hidden and shares is not None:
-        raise ValueError("Hidden layers are trained on logs that lie in one place; hand these over.")
+    if solver == "gradients" and (shares is not None or not hidden.count):
+        raise ValueError(
+            "Argument `solver`: gradients train hidden layers beside the last one, on logs in one place."
+        )
+    by_gradients = solver == "gradients" or (solver == "auto" and hidden.count > MANY and shares is None)
     freed, scales = set_free(
         vehicle,
         free,
@@ -220,7 +220,7 @@ def fit(
         entries,
         dissipative,
         spreads=dict(vehicle.prior),
-        without=hidden.places if hidden else (),
+        without=hidden.places if by_gradients else (),
     )
     z_units = units(freed, scales)
     held = starts == "measured"
@@ -233,7 +233,7 @@ def fit(
         return fit_one_step(freed, z_units, logs, noise, window, max_steps, z)
 
     estimate, told = solved(freed, np.zeros(len(z_units.precision))), ""
-    if hidden and estimate.finite:
+    if by_gradients and estimate.finite:
         if loss == "trajectory":
             training = by_windows(hidden, freed, z_units, logs, noise, window, held, estimate)
         else:
