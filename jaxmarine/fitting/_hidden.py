@@ -12,7 +12,7 @@ Hein and Hennig (2020), ICML (Laplace's approximation in the last layer).
 import dataclasses
 import re
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import equinox as eqx
 import jax
@@ -167,14 +167,16 @@ def descended(training: Training, start: Unknowns, batches: Int[Array, "updates 
     # Imported where it is needed: that takes 0.15 s, and hardly any fit needs it.
     import optax
 
-    schedule = optax.cosine_decay_schedule(RATE, len(batches))
+    # Its annotations know no modules of Equinox.
+    rules = cast(Any, optax)
+    schedule = rules.cosine_decay_schedule(RATE, len(batches))
     # A batch from which a simulation runs away changes nothing.
-    rule = optax.apply_if_finite(optax.adam(schedule, eps=SLOPE), len(batches))
+    rule = rules.apply_if_finite(rules.adam(schedule, eps=SLOPE), len(batches))
 
     def update(carry, batch):
         now, state = carry
         change, state = rule.update(jax.grad(training)(now, batch), state, now)
-        return (optax.apply_updates(now, change), state), None
+        return (rules.apply_updates(now, change), state), None
 
     (end, _), _ = jax.lax.scan(update, (start, rule.init(start)), batches)
     return end, training(start), training(end)

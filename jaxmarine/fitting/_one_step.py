@@ -222,12 +222,12 @@ def fit_one_step(
 ) -> Estimate:
     """Minimises the one-step loss from z; a second solve weighs axes by what the first left of them."""
     task = one_step(freed, units, logs, noise)
-    z, first, _ = _solve(task, jnp.asarray(z), max_steps)
-    task = weighed_by_scatter(task, z)
-    z, second, result = _solve(task, z, max_steps)
-    _, residual, slope = _slopes(task, z)
+    near, first, _ = _solve(task, jnp.asarray(z), max_steps)
+    task = weighed_by_scatter(task, near)
+    near, second, result = _solve(task, near, max_steps)
+    _, residual, slope = _slopes(task, near)
     group = groups_of(logs, residual.shape[1], window)
-    return _estimate(task, np.asarray(z), residual, slope, group, int(first + second), result)
+    return _estimate(task, np.asarray(near), residual, slope, group, int(first + second), result)
 
 
 def weighed_by_scatter(task: OneStep, z: Float[Array, " z"]) -> OneStep:
