@@ -20,7 +20,10 @@ def test_the_page_has_the_numbers_of_the_study():
 
 def test_gradients_serve_from_where_they_are_taken():
     """Above the limit they take less time and memory, and no error worth the name more."""
-    rows = {(row["weights"], row["solver"]): row for row in json.loads((study.HERE / "results.json").read_text())["rows"]}
+    rows = {
+        (row["weights"], row["solver"]): row
+        for row in json.loads((study.HERE / "results.json").read_text())["rows"]
+    }
     for (weights, solver), by_all in rows.items():
         if solver == "gauss_newton" and weights > 1.5 * MANY:
             by_layers = rows[weights, "gradients"]
