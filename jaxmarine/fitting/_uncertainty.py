@@ -83,12 +83,12 @@ class Posterior:
 def posterior(freed: Freed, units: Units, estimate: Estimate) -> Posterior:
     """By the curvature at the estimate, as `std_model`; all NaN where the solve has diverged."""
     information = estimate.information.sum(0) + np.diag(units.precision)
-    if estimate.finite:
-        # Of information L L', L'^-1 n has the inverse as its covariance.
-        root = units.map @ np.linalg.inv(np.linalg.cholesky(information)).T
-    else:
-        root = np.full_like(units.map, np.nan)
-    return Posterior(freed, estimate.raw, root)
+    if not estimate.finite:
+        return Posterior(freed, estimate.raw, np.full_like(units.map, np.nan))
+    values, vectors = np.linalg.eigh(information)
+    # Nothing is less known than its prior has it, whatever rounding has left of the rest.
+    values = np.maximum(values, units.precision.min())
+    return Posterior(freed, estimate.raw, units.map @ (vectors / np.sqrt(values)))
 
 
 def uncertainty(freed: Freed, scales: Scales, units: Units, estimate: Estimate) -> Uncertainty:
