@@ -31,7 +31,6 @@ import jaxmarine as jm
 from experiments._study import study, write_results
 from experiments.nonlinear_damping import (
     AXES,
-    SPREAD,
     _sizes,
     course,
     craft,
@@ -46,6 +45,7 @@ from jaxmarine.networks import mlp_damping
 
 HERE = Path(__file__).parent / "weights"
 WINDOW = 4.0  # [s]
+SPREAD = 1.0  # prior of a weight, over the root of how many are summed: forces of their typical size
 MOST = 600  # weights that Gauss-Newton is asked for: of 513 it takes some minutes
 
 
@@ -53,9 +53,9 @@ MOST = 600  # weights that Gauss-Newton is asked for: of 513 it takes some minut
 class Size:
     """Nodes in each hidden layer (0: no network), lengths of the logs [s], and steps of a fit."""
 
-    widths: tuple[int, ...] = (67, 19, 0, 4)
-    duration: float = 100.0
-    unseen: float = 300.0
+    widths: tuple[int, ...] = (0, 67, 19, 4)
+    duration: float = 200.0
+    unseen: float = 100.0
     steps: int = 20
 
 

@@ -146,7 +146,7 @@ def fit(
       last, in a network's `layers` or numbered in the names of its arrays), then reverse gradients and Adam
       train these with all else over minibatches, and Gauss-Newton ends it. `converged` tells of that end;
       hidden layers stop by schedule, and `result` tells what they gained. "auto" takes gradients for more
-      than 200 weights in hidden layers, where they were measured to serve better.
+      than 500 weights in hidden layers, from where on they take less time and memory.
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.

@@ -34,12 +34,14 @@ from ._trajectory import segments, window_task
 from ._weights import scaled
 from ._windows import cut
 
-# Weights in hidden layers, above which gradients train them.
-MANY = 200
+# Weights in hidden layers, above which gradients train them: at 500 Gauss-Newton takes as long (measured by
+# `experiments/many_weights.py`), and from there on time and memory of its own grow with their square.
+MANY = 500
 # Updates of a training, windows and samples in each, the largest step in widths of the prior, and the slope,
 # in nats per width, below which a weight is not worth such a step: thousands of weights that do not matter
-# would else wander off by the noise of the batches, and cost more prior than all others gain.
-UPDATES, WINDOWS, SAMPLES, RATE, SLOPE = 1000, 16, 256, 1e-2, 1.0
+# would else wander off by the noise of the batches, and cost more than all others gain (measured: 5000 weights
+# gained nothing by steps of 1e-2, and 40 to 300 nats by these).
+UPDATES, WINDOWS, SAMPLES, RATE, SLOPE = 1000, 16, 256, 3e-3, 10.0
 # Steps of the initial states of windows before it.
 _STARTS = 4
 # A layer among others: by its place among a network's `layers`, or by the number in the names of its arrays.
