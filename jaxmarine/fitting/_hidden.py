@@ -39,8 +39,8 @@ from ._windows import cut
 MANY = 500
 # Updates of a training, windows and samples in each, the largest step in widths of the prior, and the slope,
 # in nats per width, below which a weight is not worth such a step: thousands of weights that do not matter
-# would else wander off by the noise of the batches, and cost more than all others gain (measured: 5000 weights
-# gained nothing by steps of 1e-2, and 40 to 300 nats by these).
+# would else wander off by the noise of the batches, and cost more than all others gain (measured: 5000 gained
+# nothing by steps of 1e-2, and 40 to 300 nats by these).
 UPDATES, WINDOWS, SAMPLES, RATE, SLOPE = 1000, 16, 256, 3e-3, 10.0
 # Steps of the initial states of windows before it.
 _STARTS = 4
