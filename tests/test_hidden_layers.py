@@ -116,7 +116,7 @@ def test_what_comes_before_the_last_layer_is_hidden():
 
 
 @pytest.mark.parametrize("loss", ["one_step", pytest.param("trajectory", marks=pytest.mark.slow)])
-def test_reverse_gradients_are_those_of_forward_mode(loss):
+def test_reverse_gradients_are_those_of_forward_mode_and_of_differences(loss):
     start = with_network(HEAVY, 3)
     options = {"prior": prior_of(start, 1.0, 10.0, 1.0), "entries": "diagonal"}
     layers = hidden_layers(start, free, options["prior"])
@@ -140,17 +140,23 @@ def test_reverse_gradients_are_those_of_forward_mode(loss):
     at, along, batch = drawn(0.1), drawn(1.0), jnp.asarray([0, 3, 5, 3])
 
     @eqx.filter_jit
-    def both(training, at, way):
+    def all_three(training, at, way):
         def loss(x):
             return training(x, batch)
 
-        return jax.grad(loss)(at), jax.jvp(loss, (at,), (way,))[1]
+        def moved(step):
+            return jax.tree.map(lambda x, y: x + step * y, at, way)
 
-    reverse, forward = both(training, at, along)
+        # One trace for both sides of the difference.
+        before, after = jax.lax.map(lambda step: loss(moved(step)), jnp.array([-1e-5, 1e-5]))
+        return jax.grad(loss)(at), jax.jvp(loss, (at,), (way,))[1], (after - before) / 2e-5
+
+    reverse, forward, difference = all_three(training, at, along)
     products = jax.tree.map(lambda a, b: (a * b).sum(), reverse, along)
     slope = sum(jax.tree.leaves(products))
     assert all(float(jnp.abs(leaf).max()) > 0 for leaf in jax.tree.leaves(reverse))
     np.testing.assert_allclose(slope, forward, rtol=1e-9)
+    np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
 def test_the_error_bars_of_a_last_layer_are_those_of_ridge_regression(fit, tank):

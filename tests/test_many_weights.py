@@ -19,7 +19,7 @@ def test_the_page_has_the_numbers_of_the_study():
 
 
 def test_gradients_serve_from_where_they_are_taken():
-    """About the limit they take as long as Gauss-Newton, less memory, and predict better; below, more time."""
+    """About the limit they take as long as Gauss-Newton, and less memory; far below they take longer."""
     kept = json.loads((study.HERE / "results.json").read_text())["rows"]
     rows = {(row["weights"], row["solver"]): row for row in kept}
     few, many = ((rows[count, "gauss_newton"], rows[count, "gradients"]) for count in (48, 513))
