@@ -40,7 +40,7 @@ def names(tmp_path_factory) -> dict:
 
     def unmoved(vehicle, log, free, *, loss, prior, entries, throw=True):
         assert jax.tree.structure(free(vehicle)) == jax.tree.structure(prior)
-        return types.SimpleNamespace(vehicle=vehicle)
+        return types.SimpleNamespace(vehicle=vehicle, draw=lambda count, key: (vehicle,) * count)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jm, "fit", unmoved)

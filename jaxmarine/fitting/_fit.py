@@ -6,7 +6,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from .._errors import InputError
 from .._precision import need_double
@@ -16,12 +16,13 @@ from ..vehicle import Vehicle
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Estimate, Units, units
 from ._free import Freed, Select, Selection, set_free
+from ._hidden import MANY, by_samples, by_windows, hidden_layers, train
 from ._noise import median_noise, noises_of, tell_missed, widened
 from ._one_step import fit_one_step
 from ._review import reviewed
 from ._shares import AbstractShares, fit_shares
 from ._trajectory import fit_trajectory
-from ._uncertainty import Combination, Parameter, Uncertainty, uncertainty
+from ._uncertainty import Combination, Parameter, Posterior, Uncertainty, posterior, uncertainty
 
 # Half a chi-square that is not worth another step: a third of a standard error.
 _WITHIN_NOISE = 0.05
@@ -43,9 +44,11 @@ class Fit:
 
     - `vehicle`, and the `start` it was fitted from.
     - `uncertainty`: each freed entry with its standard errors, covariances, and what the data do
-      not determine.
+      not determine; without hidden layers that gradients trained (`solver`).
+    - `posterior`: the vehicles that the data leave, to `draw` from.
     - `reduced_chi2`: chi-square per degree of freedom in units of `noise`; 1 where noise alone is left. For
-      the one-step loss it is 1 by construction, because the scatter is estimated from the residuals.
+      the one-step loss it is 1 by construction, because the scatter is estimated from the residuals. Weights
+      of hidden layers that gradients trained (`solver`) are not counted.
     - `left` [channels]: root mean square error that the model leaves in each channel over a window, NaN where
       it was not measured; `weighed` [channels]: standard deviations that they counted by at last, which are
       `noise` where that is all that is left, and larger where it is not (trajectory loss).
@@ -59,6 +62,7 @@ class Fit:
     vehicle: Vehicle
     start: Vehicle
     uncertainty: Uncertainty
+    posterior: Posterior
     reduced_chi2: float
     steps: int
     converged: bool
@@ -87,6 +91,16 @@ class Fit:
         """Combinations of parameters that the data do not determine."""
         return self.uncertainty.undetermined
 
+    def draw(self, count: int, key: PRNGKeyArray) -> tuple[Vehicle, ...]:
+        """So many vehicles as likely as the data and the prior leave them: simulated, they make a band.
+
+        They scatter as `std_model` says, with all correlations, and keep the constraints of the fit. Where
+        gradients trained hidden layers, these stand, and the last layer scatters with mass and damping
+        (Laplace's approximation in the last layer). A band of them shows what the data leave open, without
+        noise and without what the model lacks.
+        """
+        return self.posterior.draw(count, key)
+
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name, such as `damping.linear[surge]`."""
         return {p.name: p for p in self.parameters}[name]
@@ -103,6 +117,7 @@ def fit(
     free: Select,
     *,
     loss: Literal["trajectory", "one_step"] = "trajectory",
+    solver: Literal["auto", "gauss_newton", "gradients"] = "auto",
     starts: Literal["estimated", "measured"] = "estimated",
     prior: float | PyTree | None = None,
     entries: Selection = "all",
@@ -113,7 +128,7 @@ def fit(
     throw: bool = True,
     noise: Float[np.ndarray, " channels"] | None = None,
 ) -> Fit:
-    r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt.
+    r"""Fits what `free` names to logs, by Gauss-Newton or Levenberg-Marquardt, hidden layers by gradients.
 
     Minimises, over the freed entries p and (trajectory) the initial state $x_w$ of every window,
     $\sum_w \sum_k |(\hat y_k(p, x_w) - y_k) / \sigma|^2 + \sum_i ((p_i - p_{i,0}) / s_i)^2$.
@@ -126,6 +141,12 @@ def fit(
     - `loss`: "trajectory" compares all measured channels over windows and is consistent under
       sensor noise; "one_step" compares accelerations at each sample and is biased by noise in the
       velocities.
+    - `solver`: "gauss_newton" fits all numbers alike, in time and memory of the square of how many there are,
+      and more. "gradients" is for learned terms of many: Gauss-Newton fits all but hidden layers (before the
+      last, in a network's `layers` or numbered in the names of its arrays), then reverse gradients and Adam
+      train these with all else over minibatches, and Gauss-Newton ends it. `converged` tells of that end;
+      hidden layers stop by schedule, and `result` tells what they gained. "auto" takes gradients for more
+      than 500 weights in hidden layers, from where on they take less time and memory.
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.
@@ -184,17 +205,46 @@ def fit(
         noise = median_noise(np.concatenate([widened(one, width) for one in each]), names)
     # Channels that a given one does not tell are not to be used.
     noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
-    freed, scales = set_free(vehicle, free, prior, entries, dissipative, spreads=dict(vehicle.prior))
+    if solver not in ("auto", "gauss_newton", "gradients"):
+        raise ValueError(f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}.")
+    hidden = hidden_layers(vehicle, free, prior)
+    if solver == "gradients" and (shares is not None or not hidden.count):
+        raise ValueError(
+            "Argument `solver`: gradients train hidden layers beside the last one, on logs in one place."
+        )
+    by_gradients = solver == "gradients" or (solver == "auto" and hidden.count > MANY and shares is None)
+    freed, scales = set_free(
+        vehicle,
+        free,
+        prior,
+        entries,
+        dissipative,
+        spreads=dict(vehicle.prior),
+        without=hidden.places if by_gradients else (),
+    )
     z_units = units(freed, scales)
     held = starts == "measured"
-    if shares is not None:
-        estimate = fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
-    elif loss == "trajectory":
-        estimate = fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh)
-    else:
-        estimate = fit_one_step(freed, z_units, logs, noise, window, max_steps)
+
+    def solved(freed: Freed, z: Float[np.ndarray, " z"]) -> Estimate:
+        if shares is not None:
+            return fit_shares(freed, z_units, shares, looks, noise, window, max_steps, held, weigh)
+        if loss == "trajectory":
+            return fit_trajectory(freed, z_units, logs, noise, window, max_steps, held, reject, weigh, z)
+        return fit_one_step(freed, z_units, logs, noise, window, max_steps, z)
+
+    estimate, told = solved(freed, np.zeros(len(z_units.precision))), ""
+    if by_gradients and estimate.finite:
+        if loss == "trajectory":
+            training = by_windows(hidden, freed, z_units, logs, noise, window, held, estimate)
+        else:
+            training = by_samples(hidden, freed, z_units, logs, noise, estimate)
+        trained = train(training, estimate.z)
+        freed, told, before = trained.freed, f"; {trained.told}", estimate.steps
+        estimate = solved(freed, trained.z)
+        estimate = dataclasses.replace(estimate, steps=before + estimate.steps)
     found = uncertainty(freed, scales, z_units, estimate)
     estimate = _judged(estimate, freed, z_units, found)
+    estimate = dataclasses.replace(estimate, result=estimate.result + told)
     if throw and not estimate.converged:
         raise FitError(f"The fit did not succeed: {estimate.result}")
     missed = tell_missed(vehicle, names, estimate.left, noise, window) if weigh and estimate.finite else None
@@ -202,6 +252,7 @@ def fit(
         vehicle=freed(jnp.asarray(estimate.raw)),
         start=vehicle,
         uncertainty=found,
+        posterior=posterior(freed, z_units, estimate),
         reduced_chi2=estimate.chi2 / max(estimate.freedom, 1.0),
         steps=estimate.steps,
         converged=estimate.converged,

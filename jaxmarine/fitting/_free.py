@@ -262,6 +262,7 @@ def set_free(
     dissipative: bool = False,
     linear: bool = False,
     spreads: Mapping[str, float] = MappingProxyType({}),
+    without: Sequence[int] = (),
 ) -> tuple[Freed, Scales]:
     """What `free` names, as a function of raw numbers, and the scales of its entries.
 
@@ -276,16 +277,18 @@ def set_free(
     - `linear`: inertia is symmetric, but not held positive, so that all entries enter linearly.
     - `spreads`: widths by keys of a file's table `[prior]`, which go before a number for `prior`; of an added
       mass relative to itself, of one that is zero to the total.
+    - `without`: places of leaves that are left as they are, whatever `free` says.
     """
-    places, paths = _chosen(vehicle, free)
+    places, paths = named_leaves(vehicle, free)
     leaves = jax.tree.leaves(vehicle)
     names = [jax.tree_util.keystr(path).lstrip(".") for path in paths]
     if {"added_mass", "body.matrix"} <= set(names):
         raise ValueError("Free `added_mass` or `body.matrix`: a log shows only their sum.")
-    stds = _stated(prior, [leaves[place] for place in places], free, vehicle)
+    stds = stated_widths(prior, [leaves[place] for place in places], free, vehicle)
     number = float(prior) if isinstance(prior, float | int) else None
     parts, sizes, widths, known = [], [], [], []
-    for place, path, name, std in zip(places, paths, names, stds, strict=True):
+    fitted = [i for i, place in enumerate(places) if place not in without]
+    for place, path, name, std in ((places[i], paths[i], names[i], stds[i]) for i in fitted):
         leaf, held = leaves[place], std == 0.0
         stated = spreads.get(_section(vehicle, path, name)) if prior is None or number is not None else None
         wide = number if stated is None else stated
@@ -356,7 +359,7 @@ def set_free(
     if not sum(part.start.size for part in parts):
         raise ValueError("Argument `free` leaves nothing free on the axes that can move.")
     scales = Scales(*map(np.concatenate, (sizes, widths, known)))
-    return Freed(vehicle, tuple(parts), tuple(places)), scales
+    return Freed(vehicle, tuple(parts), tuple(places[i] for i in fitted)), scales
 
 
 def _section(vehicle: Vehicle, path, name: str) -> str:
@@ -402,7 +405,8 @@ class _Mark:
         self.place = place
 
 
-def _chosen(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
+def named_leaves(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
+    """Places of what `free` names among the leaves of the vehicle, and their paths."""
     paths, structure = jax.tree_util.tree_flatten_with_path(vehicle)
     try:
         chosen = jax.tree.leaves(free(structure.unflatten([_Mark(i) for i in range(len(paths))])))
@@ -420,7 +424,7 @@ def _chosen(vehicle: Vehicle, free: Select) -> tuple[list[int], list]:
     return places, [paths[place][0] for place in places]
 
 
-def _stated(prior, leaves: list, free: Select, vehicle: Vehicle) -> list[np.ndarray]:
+def stated_widths(prior, leaves: list, free: Select, vehicle: Vehicle) -> list[np.ndarray]:
     """Standard deviations in the shape of each freed leaf; inf where no array states any."""
     shapes = [np.shape(leaf) for leaf in leaves]
     if prior is None or isinstance(prior, float | int):

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._types import ACCELERATIONS, MOTION, STATE
 from ..logs import Log, alike, smooth_states
@@ -55,8 +55,16 @@ class OneStep(eqx.Module):
     segments: int = eqx.field(static=True)
     moving: tuple[int, ...] = eqx.field(static=True)
 
-    def _at_samples(self, z: Float[Array, " z"], of: Callable[[Plant, State, Array, Input], Array]):
-        """`of` the vehicle, its measured state, acceleration and input, at every sample."""
+    def _at_samples(
+        self,
+        z: Float[Array, " z"],
+        of: Callable[[Plant, State, Array, Input], Array],
+        some: Int[Array, " some"] | None = None,
+    ):
+        """`of` the vehicle, its measured state, acceleration and input, at every sample.
+
+        - `some`: places of those that are asked for, log after log.
+        """
         theta = self.start + self.map @ z
         plants = jax.vmap(self.problem.plant_of, in_axes=(None, 0))(theta, jnp.arange(self.segments))
         records, samples = self.problem.records, self.samples
@@ -74,22 +82,31 @@ class OneStep(eqx.Module):
         def one(state, acceleration, drive, segment):
             return of(of_segment(plants, segment), state, acceleration, drive)
 
-        return jax.vmap(jax.vmap(one))(states, samples.acceleration, drive, records.segment)
+        rows = states, samples.acceleration, drive, records.segment
+        if some is None:
+            return jax.vmap(jax.vmap(one))(*rows)
+        place = jnp.divmod(some, records.t.shape[1])
+        return jax.vmap(one)(*jax.tree.map(lambda a: a[place], rows))
 
     def missing(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
         """The wrench that the vehicle lacks for the measured acceleration [N, N m]."""
         return self._at_samples(z, lambda plant, state, nu_dot, drive: plant.balance(state, nu_dot, drive))
 
-    def errors(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
-        """Measured acceleration minus the vehicle's [m/s², rad/s²]."""
+    def errors(
+        self, z: Float[Array, " z"], some: Int[Array, " some"] | None = None
+    ) -> Float[Array, "*samples 6"]:
+        """Measured acceleration minus the vehicle's [m/s², rad/s²], at all samples of all logs or at some."""
 
         def of(plant: Plant, state: State, acceleration: Array, drive: Input):
             return apply(plant.mobility(drive), plant.balance(state, acceleration, drive))
 
-        return self._at_samples(z, of)
+        return self._at_samples(z, of, some)
 
-    def residuals(self, z: Float[Array, " z"]) -> Float[Array, "logs steps 6"]:
-        return self.errors(z) * self.samples.weight
+    def residuals(
+        self, z: Float[Array, " z"], some: Int[Array, " some"] | None = None
+    ) -> Float[Array, "*samples 6"]:
+        weight = self.samples.weight
+        return self.errors(z, some) * (weight if some is None else weight.reshape(-1, 6)[some])
 
     def weighted(self, weight) -> "OneStep":
         """The same with other weights per axis, zero where it was zero."""
@@ -201,17 +218,23 @@ def fit_one_step(
     noise: Float[np.ndarray, " channels"],
     window: float,
     max_steps: int,
+    z: Float[np.ndarray, " z"],
 ) -> Estimate:
-    """Minimises the one-step loss; a second solve weighs axes by what the first left of them."""
+    """Minimises the one-step loss from z; a second solve weighs axes by what the first left of them."""
     task = one_step(freed, units, logs, noise)
-    z, first, _ = _solve(task, jnp.zeros(len(units.precision)), max_steps)
+    near, first, _ = _solve(task, jnp.asarray(z), max_steps)
+    task = weighed_by_scatter(task, near)
+    near, second, result = _solve(task, near, max_steps)
+    _, residual, slope = _slopes(task, near)
+    group = groups_of(logs, residual.shape[1], window)
+    return _estimate(task, np.asarray(near), residual, slope, group, int(first + second), result)
+
+
+def weighed_by_scatter(task: OneStep, z: Float[Array, " z"]) -> OneStep:
+    """The task whose axes weigh by what it leaves of them at z."""
     errors, _, _ = _slopes(task, z)
     scatter = scatter_of(np.asarray(errors), np.asarray(task.samples.weight) > 0)
-    task = task.weighted(1.0 / np.maximum(scatter, 1e-9))
-    z, second, result = _solve(task, z, max_steps)
-    _, residual, slope = _slopes(task, z)
-    group = groups_of(logs, residual.shape[1], window)
-    return _estimate(task, np.asarray(z), residual, slope, group, int(first + second), result)
+    return task.weighted(1.0 / np.maximum(scatter, 1e-9))
 
 
 def scatter_of(errors: Float[np.ndarray, "logs steps 6"], known: np.ndarray) -> Float[np.ndarray, "6"]:

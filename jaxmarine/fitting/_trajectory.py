@@ -76,15 +76,16 @@ def fit_trajectory(
     held: bool,
     reject: bool,
     weigh: bool,
+    z: Float[np.ndarray, " z"],
 ) -> Estimate:
-    """Minimises the chi-square of the windows over z and all initial states, unless those are held.
+    """Minimises the chi-square of the windows over z and all initial states, unless those are held, from z.
 
     - `reject`: leaves out costly windows, see `_without_costly`.
     - `weigh`: channels count by what the model leaves in them, where that is more than `noise`.
     """
     vehicle = freed.vehicle
     acting = segments(vehicle, logs)
-    z, best = np.zeros(len(units.precision)), None
+    best = None
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
     split, steps = substeps(vehicle, data.hold), 0
     while True:
@@ -94,7 +95,7 @@ def fit_trajectory(
         now = _estimate(freed, units, data, task, solved, steps)
         if not now.finite and not z.any() and window > max(2 * _SHORTEST, _FEWEST * data.hold):
             # The start runs away before a window has ended; over shorter ones it may be mended.
-            nearer = fit_trajectory(freed, units, logs, noise, window / 2, max_steps, held, reject, weigh)
+            nearer = fit_trajectory(freed, units, logs, noise, window / 2, max_steps, held, reject, weigh, z)
             steps += nearer.steps
             if nearer.finite and nearer.z.any():
                 z = nearer.z

@@ -2,9 +2,12 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
+from ..vehicle import Vehicle
 from ._estimate import Estimate, Units, entries_at
 from ._free import Freed, Scales
 
@@ -58,6 +61,34 @@ class Uncertainty:
     covariance_sandwich: Float[np.ndarray, "entries entries"]
     information: Float[np.ndarray, " entries"]
     undetermined: tuple[Combination, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Posterior:
+    """The vehicles that the data and the prior leave, to first order in what is free: normal in raw numbers.
+
+    - `mean`, `root` [raw, z]: raw numbers are mean + root @ n for standard normal n.
+    """
+
+    freed: Freed
+    mean: Float[np.ndarray, " raw"]
+    root: Float[np.ndarray, "raw z"]
+
+    def draw(self, count: int, key: PRNGKeyArray) -> tuple[Vehicle, ...]:
+        """So many of them, independent; each keeps the constraints of the fit."""
+        normal = jax.random.normal(key, (count, self.root.shape[1]))
+        return tuple(self.freed(jnp.asarray(self.mean + self.root @ np.asarray(n))) for n in normal)
+
+
+def posterior(freed: Freed, units: Units, estimate: Estimate) -> Posterior:
+    """By the curvature at the estimate, as `std_model`; all NaN where the solve has diverged."""
+    information = estimate.information.sum(0) + np.diag(units.precision)
+    if not estimate.finite:
+        return Posterior(freed, estimate.raw, np.full_like(units.map, np.nan))
+    values, vectors = np.linalg.eigh(information)
+    # Nothing is less known than its prior has it, whatever rounding has left of the rest.
+    values = np.maximum(values, units.precision.min())
+    return Posterior(freed, estimate.raw, units.map @ (vectors / np.sqrt(values)))
 
 
 def uncertainty(freed: Freed, scales: Scales, units: Units, estimate: Estimate) -> Uncertainty:
