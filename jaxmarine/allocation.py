@@ -24,7 +24,7 @@ def allocate(
     vehicle: Vehicle,
     wrench: Float[Array, "*times 6"],
     dof: Sequence[str] | None = None,
-    velocity: Float[Array, "*times 6"] | None = None,
+    velocity: Float[Array, "*moving 6"] | None = None,
     begin: Float[Array, "*times columns"] | None = None,
 ) -> Float[Array, "*times columns"]:
     """Commands with which the actuators of the file's sections together give a wrench, where they can.

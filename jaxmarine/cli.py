@@ -109,10 +109,11 @@ class _Left(ProgressColumn):
         return Text(str(self.estimate))
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         _say(f"jaxmarine {__version__}")
         raise typer.Exit
+    return asked
 
 
 @app.callback()

@@ -72,13 +72,14 @@ class State(eqx.Module):
     """Position of `o` [m] NED, attitude quaternion, velocity over ground in body axes, fluid memory.
 
     `memory` is the relative velocity passed through the lag of each axis, six numbers for every fluid memory
-    in the order of `Plant.memories`; it is empty (shape 0) in a vehicle without one.
+    in the order of `Plant.memories`; it is empty (shape 0) in a vehicle without one. Those of many times or
+    logs are stacked.
     """
 
-    position: Vector3
-    attitude: Quaternion
-    velocity: Velocity
-    memory: Float[Array, " memory"]
+    position: Float[Array, "*times 3"]
+    attitude: Float[Array, "*times 4"]
+    velocity: Float[Array, "*times 6"]
+    memory: Float[Array, "*times memory"]
 
     def moved(self, delta: Float[Array, "12"]) -> "State":
         """The state moved by position [m] NED, a small turn in body axes [rad] and velocity [m/s, rad/s]."""

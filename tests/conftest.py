@@ -8,21 +8,22 @@ from pathlib import Path
 
 import hypothesis
 import jax
+import jaxtyping
 import pytest
-from jaxtyping import install_import_hook
 from xdist.scheduler import LoadScopeScheduling
 
 import tests.typed
 
 # Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
-# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, and `networks`,
-# whose leaves Equinox wraps while it puts others in their place.
+# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, `networks`, whose
+# leaves Equinox wraps while it puts others in their place, and vehicle files, whose tables are made at reading.
+UNCHECKED = ("fitting", "networks", "vehicle_file", "vehicle_io")
 CHECKED = [
     f"jaxmarine.{path.stem}"
     for path in sorted((Path(__file__).resolve().parent.parent / "jaxmarine").iterdir())
-    if not path.name.startswith("_") and path.name not in ("fitting", "networks")
+    if not path.name.startswith("_") and path.stem not in UNCHECKED
 ]
-install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
+jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.
 jax.config.update("jax_enable_x64", True)
@@ -70,6 +71,12 @@ def _forgotten() -> Iterator[None]:
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 20_000:
         jax.clear_caches()
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Types are not checked: what the package itself says of wrong ones is."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture(scope="session", autouse=True)

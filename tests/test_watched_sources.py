@@ -145,7 +145,7 @@ def test_a_telemetry_log_is_replayed_as_it_came(tmp_path):
     check(rows, 40)
 
 
-def test_a_ros_2_bag_is_replayed_row_by_row(tmp_path):
+def test_a_ros_2_bag_is_replayed_row_by_row(tmp_path, unchecked):
     path = recordings.write_bag(tmp_path / "bag", recordings.odometry(2))
     columns = recordings.MAPS / "ros_odometry.toml"
     log = read_log(path, recordings.ROV, columns)

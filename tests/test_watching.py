@@ -80,7 +80,7 @@ def saved(x, y, precision, first: int, own) -> float:
     return left(flat[:, :2]) - left(np.concatenate([flat[:, :2], acts * flat[:, own]], axis=1))
 
 
-def test_nats_are_those_of_least_squares_from_every_beginning():
+def test_nats_are_those_of_least_squares_from_every_beginning(unchecked):
     x, y, account, suspects = linear()
     since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
     assert [one.t for one in since] == [-np.inf, 4.0, 8.0, 12.0, 16.0, 20.0]
@@ -93,7 +93,7 @@ def test_nats_are_those_of_least_squares_from_every_beginning():
             assert nats[i, b] == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_a_member_leaves_a_rival_what_it_does_not_explain():
+def test_a_member_leaves_a_rival_what_it_does_not_explain(unchecked):
     x, y, account, suspects = linear()
     since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
     beside = suspects.nats(since, (Member(0, 8.0),))

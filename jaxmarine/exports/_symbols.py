@@ -37,7 +37,7 @@ def expressed(name: str, function: Callable[..., Any], sizes: Mapping[str, int],
 
 def _evaluated(jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[Values]:
     known: dict[Any, Values] = dict(
-        zip((*jaxpr.constvars, *jaxpr.invars), (*consts, *arguments), strict=True)
+        zip((*jaxpr.constvars, *jaxpr.invars), (*map(np.asarray, consts), *arguments), strict=True)
     )
 
     def value(atom: Any) -> Values:

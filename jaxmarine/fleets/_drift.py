@@ -79,7 +79,7 @@ def alarms(
             # Of several the one of which this dive says most, as the sums know no more than the limit.
             told = np.where(sums > high, signed, -np.inf)
             side, parameter = np.unravel_index(np.argmax(told), told.shape)
-            out.append(Alarm(dive, int(parameter), side == 0))
+            out.append(Alarm(dive, int(parameter), bool(side == 0)))
             mean, known, sums = common.mean, prior, np.zeros((2, count))
     return out
 

@@ -39,8 +39,8 @@ class Class:
 
 
 def scatter_of(
-    values: Sequence[Float[np.ndarray, "dives parameters"]],
-    covariance: Sequence[Float[np.ndarray, "dives parameters parameters"]],
+    values: Sequence[Float[np.ndarray, "_ parameters"]],
+    covariance: Sequence[Float[np.ndarray, "_ parameters parameters"]],
 ) -> Float[np.ndarray, " parameters"]:
     """Standard deviation from dive to dive that the stated covariances lack, 0 where they lack none.
 
