@@ -15,8 +15,9 @@ from xdist.scheduler import LoadScopeScheduling
 import tests.typed
 
 # Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
-# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, `networks`, whose
-# leaves Equinox wraps while it puts others in their place, and vehicle files, whose tables are made at reading.
+# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, `networks`, in
+# which Equinox wraps leaves while it puts others in their place, and vehicle files, whose tables are made at
+# reading.
 UNCHECKED = ("fitting", "networks", "vehicle_file", "vehicle_io")
 CHECKED = [
     f"jaxmarine.{path.stem}"
