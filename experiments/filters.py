@@ -311,8 +311,10 @@ class Watched:
         self.y = log.channels[:, list(self.craft.rows)]
 
     def begun(self) -> Augmented:
-        """The state as it was logged first, with neutral parameters."""
-        first, neutral = np.nan_to_num(self.log.channels[0, :12]), jnp.zeros(WIDTH)
+        """The state as it was logged first, channel by channel, with neutral parameters."""
+        channels, neutral = self.log.channels[:, :12], jnp.zeros(WIDTH)
+        known = np.isfinite(channels)
+        first = np.where(known.any(axis=0), channels[known.argmax(axis=0), np.arange(12)], 0.0)
         craft = initial_state(self.bench.vehicle, first[:3], first[3:6], first[6:])
         fluid = self.craft.plant_of(self.craft.neutral, 0).memories
         begun = dataclasses.replace(craft, memory=jnp.zeros(6 * len(fluid)))
@@ -342,7 +344,8 @@ class Watched:
         craft, dt = self.craft, float(self.craft.commands.dt)
         # Errors of the state and of readings that come of what is not modelled.
         on_state = np.append(np.zeros(6), self.pushed)[list(craft.axes)] * dt
-        on_rows = np.append(np.zeros(12), self.pushed)[list(craft.rows)]
+        felt = np.concatenate([np.zeros(12), self.pushed, np.zeros(3), self.pushed[:3]])
+        on_rows = felt[list(craft.rows)]
         own = self.bench.own_noise[list(craft.rows)]
         return _side_by_side(
             craft,
@@ -456,8 +459,9 @@ def evidences(watched: Watched, hypotheses: Sequence[Hypothesis]) -> tuple[np.nd
 def _schwarz(watched: Watched, lanes: Sequence[tuple[Hypothesis, float]]) -> tuple[np.ndarray, np.ndarray]:
     """Evidence of each filter [nats], and its z.
 
-    The innovations' likelihood has z integrated out; by what the filter has learned of z that is made that of
-    Schwarz (1978), log(n) / 2 for each number, so that no answer hangs on how wide a prior was.
+    The innovations' likelihood has z integrated out. Without what its prior says of where z ended, and by
+    what the filter has learned of it, that is the likelihood at that z, which pays log(n) / 2 for each number
+    (Schwarz 1978): no answer hangs on how wide a prior was.
     """
     found = watched.run(lanes)
     used = np.array([one.spread > 0.0 for one, _ in lanes])
@@ -466,9 +470,14 @@ def _schwarz(watched: Watched, lanes: Sequence[tuple[Hypothesis, float]]) -> tup
     both = used[:, :, None] & used[:, None, :]
     scaled = np.where(both, np.nan_to_num(scaled), np.eye(used.shape[1]))
     learned = -0.5 * np.linalg.slogdet(scaled)[1]
+    off = (np.asarray(found.z) - np.array([one.start for one, _ in lanes])) / spread
+    learned = learned + 0.5 * np.where(used, np.nan_to_num(off) ** 2, 0.0).sum(axis=1)
     paid = 0.5 * used.sum(axis=1) * np.log(np.isfinite(watched.y).sum())
-    likely = found.log_likelihood
-    return np.where(np.isfinite(likely), likely + learned - paid, -1e300), np.asarray(found.z)
+    likely = np.asarray(found.log_likelihood)
+    # A filter that ran away explains nothing.
+    fits = np.isfinite(likely) & np.isfinite(learned)
+    worth = np.where(fits, likely, -1e300) + np.where(fits, learned, 0.0) - paid
+    return worth, np.asarray(found.z)
 
 
 def significances(watched: Watched) -> tuple[np.ndarray, np.ndarray]:

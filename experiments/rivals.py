@@ -275,6 +275,8 @@ def next_of_bank(watched: filters.Watched, known: Sequence[tuple[int, np.ndarray
     asked = [(members, watched.hypothesis(members)) for members in tried]
     # What is wider than a filter is not asked.
     asked = [(members, one) for members, one in asked if one is not None]
+    if len(asked) == 1:
+        return Named(known, [], -np.inf)
     worth, z = filters.evidences(watched, [one for _, one in asked])
     best = 1 + int(np.argmax(worth[1:]))
     begun = asked[best][0]

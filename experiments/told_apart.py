@@ -241,7 +241,7 @@ def row(seed: int, severity: tuple[float, float], out: Path) -> Row:
     for attempt in range(ATTEMPTS):
         try:
             found = judged(folder, severity, [seed, attempt])
-        except (Undrawn, jm.InputError) as error:
+        except Undrawn as error:
             undrawn.append(str(error))
             continue
         whole = {"seed": seed, "undrawn": undrawn, **found}
@@ -257,7 +257,10 @@ def judged(folder: Path, severity: tuple[float, float], seed: list[int]) -> Row:
     pair = drawn(craft, folder, severity, seed)
     chosen = time.process_time()
     # All plans are of one program.
-    made = plan(craft, pair.causes, DURATION, BOX, seed[0], families=CATALOGUE)
+    try:
+        made = plan(craft, pair.causes, DURATION, BOX, seed[0], families=CATALOGUE)
+    except jm.InputError as error:
+        raise Undrawn(str(error)) from error
     planned = made.log.commands
     if not made.random:
         raise Undrawn("no gentle manoeuvre stays in the box")

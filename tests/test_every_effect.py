@@ -20,18 +20,14 @@ from jaxmarine.diagnosis._search import _by_penalty, _trials, probes, shortlist
 from jaxmarine.effects import (
     CATALOGUE,
     CrossFlowDrag,
-    HullLift,
-    InputDelay,
     LinearDamping,
     QuadraticDamping,
-    SteadyCurrent,
     SurfaceGain,
     SurfaceLag,
     SurfaceOffset,
     SurfaceRate,
     SurfaceStuck,
     ThrusterGain,
-    TurningLift,
     Voltage,
     Wake,
     WindLoad,
@@ -44,11 +40,11 @@ REFITTED = 3
 # As long as logs of other quick tests, so that a vehicle's programs are compiled once (an ROV's by the walk).
 
 BOAT, ROV, TANKER, AZIMUTH = "cybership2", "tethra", "tanker", "azimuth"
-DURATION = {BOAT: 60.0, ROV: 120.0, TANKER: 60.0, AZIMUTH: 60.0}  # [s]
+DURATION = {BOAT: 60.0, ROV: 120.0, TANKER: 60.0, AZIMUTH: 40.0}  # [s]
 # What gear may have is looked for among what comes nearest, as the whole catalogue takes three times as long.
 GEAR = (
-    ThrusterGain, InputDelay, SurfaceGain, SurfaceOffset, SurfaceStuck, SurfaceLag, SurfaceRate, Wake,
-    Voltage, CrossFlowDrag, WindLoad, LinearDamping, QuadraticDamping, HullLift, TurningLift, SteadyCurrent,
+    ThrusterGain, SurfaceGain, SurfaceOffset, SurfaceStuck, SurfaceLag, SurfaceRate, Wake, Voltage,
+    CrossFlowDrag, WindLoad, LinearDamping, QuadraticDamping,
 )  # fmt: skip
 SUSPECTED = {BOAT: CATALOGUE, ROV: CATALOGUE, TANKER: GEAR, AZIMUTH: GEAR}
 # On boat and ROV drawn at random; each raises the error of predictions over 5 s threefold.
@@ -86,7 +82,7 @@ HIDDEN = [
     (TANKER, Effect("surface_gain", "rudder", {"factor": 0.6})),
     (TANKER, Effect("surface_offset", "rudder", {"angle": 0.1})),
     (TANKER, Effect("surface_stuck", "rudder", {"angle": -0.2})),
-    (TANKER, Effect("wake", "shaft", {"fraction": 0.2})),
+    (TANKER, Effect("wake", "shaft", {"fraction": 0.4})),
     (TANKER, Effect("wind", None, {"surge": -5.0, "sway": -6.0, "yaw": 0.8})),
     (AZIMUTH, Effect("voltage", None, {"exponent": 1.5})),
 ]
@@ -100,25 +96,21 @@ GROSS = {"compass_deviation", "exchanged_thrusters", "sensor_delay"}
 
 
 @functools.cache
-def read(ship: str) -> tuple[vehicle.Vehicle, Path, jm.Vehicle]:
-    """A craft as the plant has it, its file, and as the package has it."""
+def read(ship: str) -> tuple[vehicle.Vehicle, jm.Vehicle]:
+    """A craft as the plant and as the package has it."""
     known = vehicle.GEARED / f"{ship}.toml"
     path = known if known.exists() else cases.FOLDER / f"{ship}.toml"
-    return vehicle.load(ship), path, jm.load_vehicle(path)
+    return vehicle.load(ship), jm.load_vehicle(path)
 
 
 def recorded(ship: str, effect: Effect, seed: int, path: Path) -> jm.Log:
     """A log of the craft with an effect that its file does not have."""
     rng = np.random.default_rng(seed)
-    truth, _, craft = read(ship)
+    truth, craft = read(ship)
     steered = commands(truth, round(DURATION[ship] / cases.DT), rng, "rich").round(6)
     run = cases.roll_out(truth, [effect], steered, float(rng.uniform(-np.pi, np.pi)))
     path.write_text(cases.table(truth, run, truth.noise, rng), encoding="utf-8")
     return jm.read_log(path, craft)
-
-
-def labelled(effect: Effect) -> str:
-    return effect.effect if effect.target is None else f"{effect.effect}:{effect.target}"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +124,7 @@ def test_every_effect_is_the_first_to_be_named(seed, ship, effect, tmp_path):
 @pytest.mark.parametrize(("ship", "effect"), [pytest.param(*one, id=one[1].effect) for one in OWN])
 def test_every_effect_of_the_package_alone_is_too(ship, effect):
     lengths = (DURATION[ship], 1.0)
-    log, _ = hidden(read(ship)[2], effect.effect, effect.target, effect.parameters, lengths)
+    log, _ = hidden(read(ship)[1], effect.effect, effect.target, effect.parameters, lengths)
     named_first(ship, effect, log)
 
 
@@ -142,7 +134,7 @@ def test_these_are_all_effects_of_the_catalogue():
 
 def named_first(ship: str, effect: Effect, log: jm.Log) -> None:
     """Whether of the most promising suspects the hidden one explains most, by numbers within their errors."""
-    bench = workbench(read(ship)[2], (log,), SUSPECTED[ship], None)
+    bench = workbench(read(ship)[1], (log,), SUSPECTED[ship], None)
     suspects = bench.layout.suspects
     label = effect.effect if effect.target is None else f"{effect.effect}:{effect.target}"
     true = Member([one.label for one in suspects].index(label))
@@ -158,3 +150,6 @@ def named_first(ship: str, effect: Effect, log: jm.Log) -> None:
     std = np.sqrt(np.diag(np.linalg.inv(information)))[bench.slices(best.model.members)[-1]]
     for (name, value), error in zip(best.parameters(bench).items(), std, strict=True):
         assert value == pytest.approx(effect.parameters[name], abs=4 * error), (name, value, error)
+    # Which number of several a short log leaves open depends on the log, but not all of them.
+    true_values = np.array([effect.parameters[name] for name in best.parameters(bench)])
+    assert (std / np.abs(true_values)).min() < 0.5

@@ -1,5 +1,6 @@
 """Kalman filters that isolate faults: against dense Gaussians, and on toys whose answer is known."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -142,6 +143,26 @@ def test_a_bank_of_two_names_the_drag_that_a_body_has_more_of(true):
     assert nats[true] > nats[1 - true] + 5.0
     value, error = float(found[true].state[1]), float(found[true].covariance[1, 1]) ** 0.5
     assert abs(value - 0.15) < 3.0 * error < 0.05
+
+
+@pytest.mark.parametrize("spread", [0.5, 50.0])
+def test_evidence_is_that_of_schwarz_however_wide_a_prior_was(spread):
+    """Two numbers of a line: the likelihood where they end, less log(n) / 2 each, by dense Gaussians."""
+    rng = np.random.default_rng(3)
+    h, sigma, start = rng.normal(size=(40, 2)), 0.3, np.array([0.4, -0.2])
+    y = h @ [1.5, -0.7] + sigma * rng.standard_normal(40)
+    covariance = np.linalg.inv(h.T @ h / sigma**2 + np.eye(2) / spread**2)
+    z = covariance @ (h.T @ y / sigma**2 + start / spread**2)
+    dense = sigma**2 * np.eye(40) + spread**2 * h @ h.T
+    found = filters.Answer(
+        np.array([stats.multivariate_normal.logpdf(y, h @ start, dense)]), z[None], covariance[None], None
+    )
+    hypothesis = filters.Hypothesis((0,), np.eye(2), start, np.full(2, spread))
+    watched: Any = SimpleNamespace(run=lambda lanes: found, y=y)
+    evidence, ended = filters._schwarz(watched, [(hypothesis, 0.0)])
+    expected = stats.norm.logpdf(y, h @ z, sigma).sum() - np.log(40)
+    assert evidence[0] == pytest.approx(expected, rel=1e-9)
+    assert np.array_equal(ended[0], z)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.07, 0.1, 0.34])

@@ -158,7 +158,7 @@ def by_tableau(plant, state, drive, dt, split: int) -> State:
     return state
 
 
-def test_holds_of_one_and_of_many_are_those_of_the_tableau(unchecked):
+def test_holds_of_one_and_of_many_are_those_of_the_tableau():
     vehicle = packaged("tethra")
     late = blind.Effect("thruster_lag", None, {"time_constant": 0.15})
     vehicle = vehicle.place(*(placed(vehicle, e) for e in (*EVERYTHING, late)))

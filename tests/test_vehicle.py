@@ -300,7 +300,7 @@ def test_a_closed_gate_is_a_vehicle_without_the_effect():
     assert np.allclose(opened.acceleration(state, drive), expected, rtol=1e-12, atol=1e-13)
 
 
-def test_wrong_shapes_are_refused(unchecked):
+def test_wrong_shapes_are_refused():
     vehicle = packaged("tethra")
     with pytest.raises(ValueError, match="added_mass"):
         dataclasses.replace(vehicle, added_mass=jnp.zeros((6, 5)))

@@ -146,7 +146,7 @@ def fit(
       last, in a network's `layers` or numbered in the names of its arrays), then reverse gradients and Adam
       train these with all else over minibatches, and Gauss-Newton ends it. `converged` tells of that end;
       hidden layers stop by schedule, and `result` tells what they gained. "auto" takes gradients for more
-      than 500 weights in hidden layers, from where on they take less time and memory.
+      than 450 weights in hidden layers, from where on they take less time and memory.
     - `starts`: of the windows, trajectory only. "estimated" from each window's own data: consistent under
       sensor noise, but short windows of a poor model are saved by their start. "measured": held at the
       smoothed log, which is what a prediction from there has.
@@ -239,9 +239,10 @@ def fit(
         else:
             training = by_samples(hidden, freed, z_units, logs, noise, estimate)
         trained = train(training, estimate.z)
-        freed, told, before = trained.freed, f"; {trained.told}", estimate.steps
-        estimate = solved(freed, trained.z)
-        estimate = dataclasses.replace(estimate, steps=before + estimate.steps)
+        ended = solved(trained.freed, trained.z)
+        if ended.finite:
+            freed, told = trained.freed, f"; {trained.told}"
+            estimate = dataclasses.replace(ended, steps=estimate.steps + ended.steps)
     found = uncertainty(freed, scales, z_units, estimate)
     estimate = _judged(estimate, freed, z_units, found)
     estimate = dataclasses.replace(estimate, result=estimate.result + told)

@@ -34,9 +34,9 @@ from ._trajectory import segments, window_task
 from ._weights import scaled
 from ._windows import cut
 
-# Weights in hidden layers, above which gradients train them: at 500 Gauss-Newton takes as long (measured by
+# Weights in hidden layers, above which gradients train them: with 456 Gauss-Newton takes as long (measured by
 # `experiments/many_weights.py`), and from there on time and memory of its own grow with their square.
-MANY = 500
+MANY = 450
 # Updates of a training, windows and samples in each, the largest step in widths of the prior, and the slope,
 # in nats per width, below which a weight is not worth such a step: thousands of weights that do not matter
 # would else wander off by the noise of the batches, and cost more than all others gain (measured: 5000 gained
@@ -243,6 +243,6 @@ def train(training: Training, z: Float[np.ndarray, " z"]) -> Trained:
     end, before, after = descended(training, start, jnp.asarray(np.resize(order, shape)))
     gained = float(before - after)
     if not gained > 0:
-        end = start
-    told = f"hidden layers trained by {UPDATES} updates, which gained {max(gained, 0.0):.3g} nats"
+        end, gained = start, 0.0
+    told = f"hidden layers trained by {UPDATES} updates, which gained {gained:.3g} nats"
     return Trained(training.freed(end.layers), np.asarray(end.z), told)
