@@ -284,6 +284,7 @@ def test_elimination_is_that_of_the_whole_problem():
         assert np.allclose(h[w], stats.h_zz[w] - stats.h_xz[w].T @ solved[:, 1:], atol=1e-6 * size)
 
 
+@pytest.mark.slow
 def test_a_screening_sums_groups_of_windows_and_has_a_free_wrench():
     """By the linearisation of each window, and by forward mode along wrenches that are in the log."""
     this, delta, stats, (_, by_move, by_z) = both(*THREE_AXES)

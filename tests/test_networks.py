@@ -327,6 +327,7 @@ def test_a_quick_run_finds_the_fouled_propeller(tmp_path):
     assert (tmp_path / "thrust.svg").exists()
 
 
+@pytest.mark.slow
 def test_a_quick_run_of_the_nonlinear_damping_ends_with_every_model(tmp_path):
     nonlinear_damping.main(tmp_path, seeds=1, quick=True)
     run = json.loads((tmp_path / "results.json").read_text())["runs"][0]

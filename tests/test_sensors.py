@@ -267,6 +267,7 @@ def test_a_current_is_seen_without_positions():
     assert len(blind.undetermined) == 2
 
 
+@pytest.mark.slow
 def test_logs_with_and_without_them_are_fitted_together():
     boat, log = drifting()
     plain = dataclasses.replace(

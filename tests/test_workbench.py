@@ -216,6 +216,7 @@ def test_windows_screened_in_groups_say_the_same_together(monkeypatch):
     assert few.group_starts.tolist() == each.data.starts[starts].tolist()
 
 
+@pytest.mark.slow
 def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypatch):
     """Every third window of a log in which a thruster is weak: its factor, and three times what it saves."""
     weak = Placed(place(suspect_named(boat(), "thruster_gain", "port"), boat(), {"factor": 0.7}), "port")
