@@ -91,13 +91,7 @@ def decided(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> list[dict[str
                 "p": float(tested.pvalue),
             }
         )
-    if out:
-        held: Any = multipletests([one["p"] for one in out], method="holm")[1]
-        for one, p in zip(out, held, strict=True):
-            sure = p < LEVEL
-            one["p_holm"] = float(p)
-            one["verdict"] = ("holds" if one["ratio"] < 1 else "refuted") if sure else "undecided"
-    return out
+    return _judged(out, [one["ratio"] < 1 for one in out])
 
 
 def discordant(pairs: Mapping[str, tuple[Sequence[bool], Sequence[bool]]]) -> list[dict[str, Any]]:
@@ -112,13 +106,16 @@ def discordant(pairs: Mapping[str, tuple[Sequence[bool], Sequence[bool]]]) -> li
         won, lost = int((both[0] & ~both[1]).sum()), int((both[1] & ~both[0]).sum())
         p = float(scipy.stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
         out.append({"claim": words, "of": both.shape[1], "won": won, "lost": lost, "p": p})
-    if out:
-        held: Any = multipletests([one["p"] for one in out], method="holm")[1]
-        for one, p in zip(out, held, strict=True):
-            one["p_holm"] = float(p)
-            decided = "holds" if one["won"] > one["lost"] else "refuted"
-            one["verdict"] = decided if p < LEVEL else "undecided"
-    return out
+    return _judged(out, [one["won"] > one["lost"] for one in out])
+
+
+def _judged(claims: list[dict[str, Any]], likely: Sequence[bool]) -> list[dict[str, Any]]:
+    """The claims with p after Holm's correction, and a verdict; `likely`: which way each of them goes."""
+    held: Any = multipletests([one["p"] for one in claims], method="holm")[1] if claims else ()
+    for one, p, holds in zip(claims, held, likely, strict=True):
+        one["p_holm"] = float(p)
+        one["verdict"] = ("holds" if holds else "refuted") if p < LEVEL else "undecided"
+    return claims
 
 
 def in_a_line(claim: dict[str, Any]) -> str:

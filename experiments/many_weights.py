@@ -34,6 +34,7 @@ from experiments.nonlinear_damping import (
     _sizes,
     course,
     craft,
+    free,
     heavier,
     log_of,
     sailed,
@@ -71,16 +72,6 @@ def start_of(log: jm.Log, width: int) -> jm.Vehicle:
     key = jax.random.key(0)
     term = mlp_damping(AXES, np.abs(nu).max(axis=0), size, key, width=width, depth=2, seen=nu)
     return vehicle.place(jm.Placed(term))
-
-
-def free(v: jm.Vehicle) -> dict[str, Any]:
-    """Mass, damping and network."""
-    effects: list[Any] = [placed.effect for placed in v.placed]
-    return {
-        "mass": v.added_mass,
-        "damping": (v.damping.linear, v.damping.quadratic),
-        "network": tuple(effect.network for effect in effects),
-    }
 
 
 def width_of(name: str, leaf: Any) -> Any:

@@ -57,8 +57,8 @@ def diagnosed(case: str) -> tuple[dict, jm.Diagnosis, jm.Log]:
     vehicle, effect = CASES[case]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        train = SHORT if case in QUICK else TRAIN
-        answer = make_case(folder, vehicle, [effect], 7, duration_train=train, duration_test=TEST)
+        length = SHORT if case in QUICK else TRAIN
+        answer = make_case(folder, vehicle, [effect], 7, duration_train=length, duration_test=TEST)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
     return answer, jm.diagnose(craft, train, test), test

@@ -37,9 +37,8 @@ from jaxmarine.examples import hidden
 # Of those suspects that save most by the linearisation this many are refitted, and those that it cannot see
 # where the hidden one is such.
 REFITTED = 3
-# As long as logs of other quick tests, so that a vehicle's programs are compiled once (an ROV's by the walk).
-
 BOAT, ROV, TANKER, AZIMUTH = "cybership2", "tethra", "tanker", "azimuth"
+# As long as logs of other quick tests, so that a vehicle's programs are compiled once (an ROV's by the walk).
 DURATION = {BOAT: 60.0, ROV: 120.0, TANKER: 60.0, AZIMUTH: 40.0}  # [s]
 # What gear may have is looked for among what comes nearest, as the whole catalogue takes three times as long.
 GEAR = (

@@ -78,8 +78,8 @@ def diagnosed(
         lengths = {"duration_train": train, "duration_test": TEST}
         answer = cases.make_case(folder, ship, hidden, seed, **lengths, **options)
         craft = jm.load_vehicle(folder / "vehicle.toml")
-        train, test = (jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test"))
-    return answer, jm.diagnose(craft, train, test, suspected)
+        logs = [jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test")]
+    return answer, jm.diagnose(craft, *logs, suspected)
 
 
 def drawn(ship: str, name: str, seed: int, severity: float = SEVERITY) -> Effect:

@@ -87,8 +87,10 @@ def fit_trajectory(
     acting = segments(vehicle, logs)
     best = None
     data = cut(vehicle, logs, noise, window, segments=acting.of_samples)
-    begun = freed(jnp.asarray(np.asarray(freed.start) + units.map @ z))
-    split, steps = max(substeps(vehicle, data.hold), substeps(begun, data.hold) if z.any() else 1), 0
+    split, steps = substeps(vehicle, data.hold), 0
+    if z.any():
+        begun = freed(jnp.asarray(np.asarray(freed.start) + units.map @ z))
+        split = max(split, substeps(begun, data.hold))
     while True:
         task = window_task(freed, units, data, acting, split, held)
         solved = _solved(task, jnp.asarray(z), logs[0].dt, max_steps, reject, weigh)
