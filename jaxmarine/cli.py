@@ -1,5 +1,6 @@
 """The command line. Every mistake in what is handed in ends with one sentence and exit code 2."""
 
+import functools
 import os
 import signal
 import sys
@@ -402,7 +403,7 @@ def simulate(
     _say(f"Simulated log: {out}")
 
 
-# What `jaxmarine fit --free` can name.
+# What `jaxmarine fit --free` can name, beside kinds of actuators and effects.
 _FREE = {
     "damping": lambda v: (v.damping.linear, v.damping.quadratic),
     "linear": lambda v: v.damping.linear,
@@ -412,24 +413,69 @@ _FREE = {
     "thrust": lambda v: v.thrusters.max_thrust,
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
-    "propeller": lambda v: tuple(
-        (one.kt, one.kt_reverse, one.wake_fraction) for one in v.actuators if one.key == "propeller"
-    ),
-    "surface": lambda v: tuple(one.lift_slope for one in v.actuators if one.key == "surface"),
-    "cross_flow": lambda v: tuple(one.coefficient for one in v.actuators if one.key == "cross_flow"),
-    "cross_damping": lambda v: tuple(one.value for one in v.actuators if one.key == "cross_damping"),
-    "hull_polynomial": lambda v: tuple(
-        (one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "hull_polynomial"
-    ),
-    "wind": lambda v: tuple((one.surge, one.sway, one.yaw) for one in v.actuators if one.key == "wind"),
 }
 _OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
-_OF_ACTUATORS = ("propeller", "surface", "cross_flow", "cross_damping", "hull_polynomial", "wind")
-# Of `all`: what a log with a prior can tell of a craft, and how wide that is where none is given.
-_ALL = ("coupling", *_OF_THRUSTERS, *_OF_ACTUATORS)
+# How wide a prior is where `all` is free and none is given.
+_ALL_PRIOR = 0.3
 # Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.
 _OF_HULLS = ("hull_lift", "turning_lift")
-_ALL_PRIOR = 0.3
+
+
+def _told(key, vehicle):
+    """What logs tell of all actuators of a kind."""
+    those = [one for one in vehicle.actuators if one.key == key]
+    return tuple(getattr(one, field) for one in those for field in one.told)
+
+
+def _checked_free(free):
+    """Raises unless `--free` names what a fit can free, once."""
+    twice = "damping" in free and {"linear", "quadratic"} & {*free}
+    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
+    if len(set(free)) < len(free) or twice:
+        raise InputError(
+            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
+            "`added_mass`); once will do."
+        )
+    from .actuators import KINDS
+    from .effects import CATALOGUE
+
+    names = (*_FREE, *(kind.key for kind in KINDS if kind.told))
+    effects = {effect.name for effect in CATALOGUE}
+    for name in free if free != ["all"] else ():
+        if name not in names and name.partition(":")[0] not in effects:
+            raise InputError(
+                f"--free {name}: is not known; choose from {', '.join(names)}, take an effect of the "
+                "catalogue, such as `turning_lift` or `thruster_gain:all`, or all alone."
+            )
+
+
+def _freed(free, craft):
+    """What `--free` names of a vehicle: it with the effects to fit, the names, what selects each."""
+    from .actuators import KINDS
+    from .vehicle_io import with_effect
+
+    kinds = [kind.key for kind in KINDS if kind.told]
+    has = {one.key for one in craft.actuators}
+    lacks = {*kinds} - has
+    lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
+    if free == ["all"]:
+        # What a log with a prior can tell of a craft.
+        free = [name for name in ("coupling", *_OF_THRUSTERS, *kinds) if name not in lacks]
+        if {"surge", "sway", "yaw"} <= {*craft.dof} and ("surface" in has or "heave" not in craft.dof):
+            free += _OF_HULLS
+    chosen = []
+    for name in free:
+        if name in lacks:
+            what = "thrusters" if name in _OF_THRUSTERS else name.replace("_", " ")
+            raise InputError(f"--free {name}: {craft.name} has no {what}; free something else.")
+        if name in _FREE:
+            chosen.append(_FREE[name])
+        elif name in kinds:
+            chosen.append(functools.partial(_told, name))
+        else:
+            craft, which = with_effect(craft, name)
+            chosen.append(lambda v, which=which: v.placed[which].effect)
+    return craft, free, chosen
 
 
 @app.command(
@@ -442,8 +488,8 @@ def fit(
         list[str],
         typer.Option(
             "--free",
-            help=f"What is fitted: {', '.join(_FREE)}, or an effect, EFFECT[:TARGET], or all; repeat for "
-            "several.",
+            help=f"What is fitted: {', '.join(_FREE)}, a kind of actuators that the file has (propeller, "
+            "surface, wind, ...), or an effect, EFFECT[:TARGET], or all; repeat for several.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
@@ -457,48 +503,17 @@ def fit(
 
     Of matrices the diagonals; with `coupling` also what joins their axes.
     """
-    every = free == ["all"]
-    twice = "damping" in free and {"linear", "quadratic"} & {*free}
-    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
-    if len(set(free)) < len(free) or twice:
-        raise InputError(
-            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
-            "`added_mass`); once will do."
-        )
     if prior is not None and not prior > 0:
         raise InputError(f"--prior {prior:g}: is no width; give one above 0, such as 0.3.")
     prepare()
-    from .effects import CATALOGUE
     from .fitting import fit as run
     from .logs import read_logs
-    from .vehicle_io import load_vehicle, save_vehicle, with_effect
+    from .vehicle_io import load_vehicle, save_vehicle
 
-    effects = {effect.name for effect in CATALOGUE}
-    unknown = [name for name in free if name not in _FREE and name.partition(":")[0] not in effects]
-    unknown = [] if every else unknown
-    if unknown:
-        raise InputError(
-            f"--free {unknown[0]}: is not known; choose from {', '.join(_FREE)}, take an effect of the "
-            "catalogue, such as `turning_lift` or `thruster_gain:all`, or all alone."
-        )
+    _checked_free(free)
     _file(out)
-    craft = load_vehicle(vehicle)
-    has = {one.key for one in craft.actuators}
-    lacks = {name for name in _OF_ACTUATORS if name not in has}
-    lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
-    if every:
-        free, prior = [name for name in _ALL if name not in lacks], prior or _ALL_PRIOR
-        if {"surge", "sway", "yaw"} <= {*craft.dof} and ("surface" in has or "heave" not in craft.dof):
-            free += _OF_HULLS
-    useless = [name for name in free if name in lacks]
-    if useless:
-        what = "thrusters" if useless[0] in _OF_THRUSTERS else f"{useless[0].replace('_', ' ')}"
-        raise InputError(f"--free {useless[0]}: {craft.name} has no {what}; free something else.")
-    chosen = [_FREE[name] for name in free if name in _FREE]
-    for name in free:
-        if name not in _FREE:
-            craft, which = with_effect(craft, name)
-            chosen.append(lambda v, which=which: v.placed[which].effect)
+    prior = _ALL_PRIOR if prior is None and free == ["all"] else prior
+    craft, free, chosen = _freed(free, load_vehicle(vehicle))
     columns_map = _columns(columns)
     logs = read_logs(train, craft, columns_map)
     _note(*logs)

@@ -29,6 +29,7 @@ from jaxmarine.effects import (
 )
 from jaxmarine.examples import hidden, operated, recorded
 from jaxmarine.fitting import gross_errors
+from jaxmarine.fitting._free import set_free
 from jaxmarine.networks import learned_thrust
 from jaxmarine.physics import UNLIMITED, Drive, thrust
 from jaxmarine.vehicle import Input, reach
@@ -905,6 +906,23 @@ def test_a_craft_of_all_kinds_is_driven(tmp_path):
     weak = place(suspect_named(craft, "thruster_gain", "all"), craft, {"factor": 0.0})
     none = end(craft.place(jm.Placed(weak, "all")), base * [1, 1, 1, 1, 1, 0, 1])
     assert np.abs(none).max() < 1e-9
+
+
+def test_a_fit_of_what_kinds_tell_turns_no_thrust_and_no_lift_round(tmp_path):
+    craft = read(tmp_path, SHIP + WIND)
+    for number, one in enumerate(craft.actuators):
+        for field in one.told:
+
+            def free(vehicle, number=number, field=field):
+                return getattr(vehicle.actuators[number], field)
+
+            freed, scales = set_free(craft, free, prior=0.3)
+            raw = freed.start - 50.0 * scales.prior
+            leaf = np.asarray(free(freed(raw))).reshape(len(np.atleast_1d(free(craft))), -1)
+            if field in ("kt", "kt_reverse", "lift_slope"):
+                assert (leaf[:, 0] > 0).all(), field
+            else:
+                assert (leaf < 0).any(), field
 
 
 def test_a_log_beyond_the_limits_is_refused(ship):

@@ -62,6 +62,9 @@ class AbstractKind(eqx.Module):
     commanded: ClassVar[bool] = True  # somebody sets its columns; else they are what was measured
     title: ClassVar[str]  # of their row in a report
     table: ClassVar[type[Table]]  # what such a table may say
+    told: ClassVar[tuple[str, ...]] = ()  # fields that logs tell, which `jaxmarine fit --free KEY` frees
+    # Fields that are positive by what they are: of one that is a curve per actuator, its first number.
+    positive: ClassVar[tuple[str, ...]] = ()
 
     names: eqx.AbstractVar[tuple[str, ...]]
 

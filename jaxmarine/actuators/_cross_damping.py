@@ -52,6 +52,7 @@ class CrossDamping(AbstractHull):
     key: ClassVar[str] = "cross_damping"
     title: ClassVar[str] = "Damping between axes"
     table: ClassVar[type[Table]] = CrossDampingTable
+    told: ClassVar[tuple[str, ...]] = ("value",)
 
     value: Float[Array, " terms"]
     names: tuple[str, ...] = eqx.field(static=True)

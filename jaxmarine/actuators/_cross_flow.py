@@ -34,6 +34,8 @@ class CrossFlow(AbstractHull):
     key: ClassVar[str] = "cross_flow"
     title: ClassVar[str] = "Drag across the flow"
     table: ClassVar[type[Table]] = CrossFlowTable
+    told: ClassVar[tuple[str, ...]] = ("coefficient",)
+    positive: ClassVar[tuple[str, ...]] = ("coefficient",)
     single: ClassVar[bool] = True
 
     length: Float[Array, " one"]

@@ -66,6 +66,7 @@ class HullPolynomial(AbstractHull):
     key: ClassVar[str] = "hull_polynomial"
     title: ClassVar[str] = "Polynomials of the hull"
     table: ClassVar[type[Table]] = HullPolynomialTable
+    told: ClassVar[tuple[str, ...]] = ("surge", "sway", "yaw")
     single: ClassVar[bool] = True
 
     length: Float[Array, " one"]

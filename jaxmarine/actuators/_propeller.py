@@ -89,6 +89,8 @@ class Propellers(AbstractActuators):
     key: ClassVar[str] = "propeller"
     title: ClassVar[str] = "Propellers"
     table: ClassVar[type[Table]] = PropellerTable
+    told: ClassVar[tuple[str, ...]] = ("kt", "kt_reverse", "wake_fraction")
+    positive: ClassVar[tuple[str, ...]] = ("kt", "kt_reverse")
 
     position: Float[Array, "propellers 3"]
     direction: Float[Array, "propellers 3"]

@@ -128,6 +128,8 @@ class Surfaces(AbstractActuators):
     key: ClassVar[str] = "surface"
     title: ClassVar[str] = "Control surfaces"
     table: ClassVar[type[Table]] = SurfaceTable
+    told: ClassVar[tuple[str, ...]] = ("lift_slope",)
+    positive: ClassVar[tuple[str, ...]] = ("lift_slope",)
 
     position: Float[Array, "surfaces 3"]
     axis: Float[Array, "surfaces 3"]

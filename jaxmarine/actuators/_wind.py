@@ -58,6 +58,7 @@ class Wind(AbstractActuators):
     key: ClassVar[str] = "wind"
     title: ClassVar[str] = "Wind"
     table: ClassVar[type[Table]] = WindTable
+    told: ClassVar[tuple[str, ...]] = ("surge", "sway", "yaw")
     commanded: ClassVar[bool] = False
     single: ClassVar[bool] = True
 

@@ -31,10 +31,8 @@ _BRAKING = 0.2
 # Share of an axis' total inertia below which a fitted one fades out instead of becoming negative, and the
 # share at which an added mass of zero begins.
 _SOFT, _NOTHING = 0.02, 0.01
-# Leaves of numbers that are positive by what they are: thrusts, and of actuators the thrust at rest (the
-# first number of `kt` and of `kt_reverse`), the lift of a surface and drag across the flow.
+# Leaves of numbers that are positive by what they are; of actuators, which say theirs, see `_is_positive`.
 _THRUSTS = ("thrusters.max_thrust", "thrusters.max_thrust_reverse")
-_OF_ACTUATORS = ("kt", "kt_reverse", "lift_slope", "coefficient")
 # Which key of a file's table `[prior]` speaks of a leaf; of actuators and lift see `_section`.
 PRIOR_KEYS = {
     "added_mass": "added_mass",
@@ -312,7 +310,7 @@ def set_free(
             part = make(vehicle, name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif relative and _is_positive(name):
+        elif relative and _is_positive(vehicle, path, name):
             if name == "thrusters.max_thrust_reverse":
                 # Where the file states none it is fitted by itself from there on.
                 leaf = vehicle.thrusters.reverse
@@ -372,9 +370,11 @@ def _section(vehicle: Vehicle, path, name: str) -> str:
     return PRIOR_KEYS.get(name, "")
 
 
-def _is_positive(name: str) -> bool:
+def _is_positive(vehicle: Vehicle, path, name: str) -> bool:
     """Whether a leaf holds what is positive by what it is."""
-    return name in _THRUSTS or (name.startswith("actuators[") and name.split("].", 1)[1] in _OF_ACTUATORS)
+    if name.startswith("actuators["):
+        return name.split("].", 1)[1] in vehicle.actuators[path[1].idx].positive
+    return name in _THRUSTS
 
 
 def _typical(vehicle: Vehicle, path) -> float | None:
