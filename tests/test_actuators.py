@@ -941,6 +941,7 @@ def sailed(ship) -> jm.Log:
     return hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "told"), [(None, None), (1, "Yaw answers opposite to rudder"), (0, "answers opposite to prop")]
 )

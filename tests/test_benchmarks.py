@@ -106,6 +106,7 @@ def test_a_result_of_another_kind_is_only_timed():
 # --- the scripts ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_roll_outs_come_to_the_same(tmp_path):
     found = ran("rollout", tmp_path)
     for table in found["tables"]:

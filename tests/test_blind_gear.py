@@ -100,7 +100,9 @@ def test_a_run_is_that_of_the_package():
     assert np.ptp(run.states[:, 5]) > 0.3 and run.states[:, 6].min() < 0.8 * blind.cruise
 
 
-@pytest.mark.parametrize("name", CRAFT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "torpedo" else []) for name in CRAFT]
+)
 def test_pilots_keep_a_heading_and_hidden_effects_are_drawn(name):
     _, blind = both(name)
     rng = np.random.default_rng(3)

@@ -289,6 +289,7 @@ def test_an_update_is_taken_only_where_it_predicts_better(tethra, monkeypatch):
 # --- the study ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_quick_study_learns_the_changed_damping(tmp_path):
     app = typer.Typer()
     app.command()(tethra_control.main)

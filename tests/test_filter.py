@@ -392,6 +392,7 @@ def test_a_current_is_taken_alone_and_a_steady_one_is_left_to_its_name():
         assert bench.amid_more(model).beside.force.kind == kind
 
 
+@pytest.mark.slow
 def test_where_nothing_disturbs_sizes_go_to_zero():
     """To less than a tenth of what shows in the noise."""
     bench, model = estimated_on(pushed_boat(np.zeros(3)))

@@ -230,6 +230,7 @@ def drifting() -> tuple[Vehicle, Log]:
     return boat, only(log, *SEEN)
 
 
+@pytest.mark.slow
 def test_a_current_is_seen_without_positions():
     """Even by a craft that does not feel the water: by the mean of R (u - u_water, v - v_water).
 

@@ -91,6 +91,7 @@ def test_a_log_at_rest_leaves_the_file_and_the_spread_it_came_with():
     assert (std > 0.5 * 0.3 * size).all() and (std < 1.1 * 0.3 * size).all()
 
 
+@pytest.mark.slow
 def test_what_the_model_lacks_does_not_outweigh_the_prior():
     """A hull's lift that the file lacks, sensors without noise, none stated: chi-squares of millions."""
     lift = dataclasses.replace(HullLift.neutral(boat()), Y_uv=60.0, N_uv=40.0)

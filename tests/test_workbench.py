@@ -52,6 +52,7 @@ NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direc
                        for f in dataclasses.fields(Thrusters)})  # fmt: skip
 
 
+@pytest.mark.slow
 def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found():
     """A thruster at half its thrust, in a log of known noise that the file does not state."""
     craft = boat(sensors={})
@@ -78,6 +79,7 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     assert np.allclose((sharper.noise[:12] / true)[np.tile(craft.free, 2) > 0], 1.0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
     """A boat that only goes ahead has no thrust astern to tell of; one of its thrusters is weak."""
     craft = boat()

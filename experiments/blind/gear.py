@@ -20,15 +20,19 @@ TRIM = 0.5  # demand of what drives a craft with gear ahead: a rudder steers not
 EAGER = 0.6  # rad, deflection of a surface that a stick asks for at most
 
 
+def crossed(a: Array, b: Array) -> Array:
+    """a x b, of vectors along the first axis; `np.cross` takes half of a run of a craft with gear."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def wrench_at(r: Array, force: Array) -> Array:
     """A force (3, B) at a place (3,) as a wrench at o."""
-    moment = np.cross(r[:, None] * np.ones(force.shape[1:]), force, axis=0)
-    return np.concatenate([force, moment])
+    return np.concatenate([force, crossed(r, force)])
 
 
 def flow_at(r: Array, nu: Array) -> Array:
     """Velocity (3, B) of a place of the craft."""
-    return nu[:3] + np.cross(nu[3:], r[:, None] * np.ones(nu.shape[1:]), axis=0)
+    return nu[:3] + crossed(nu[3:], r)
 
 
 def turned(vector: Array, axis: Array, angle: Array) -> Array:
@@ -36,7 +40,7 @@ def turned(vector: Array, axis: Array, angle: Array) -> Array:
     v, a = vector[:, None], axis[:, None]
     return (
         v * np.cos(angle)
-        + np.cross(axis, vector)[:, None] * np.sin(angle)
+        + crossed(axis, vector)[:, None] * np.sin(angle)
         + a * (axis @ vector) * (1.0 - np.cos(angle))
     )
 
@@ -162,7 +166,7 @@ class Surface:
         )
 
     def wrench(self, rho: float, angle: Array, nu: Array, races: dict[str, tuple[Array, Array]]) -> Array:
-        across = np.cross(self.axis, self.chord)
+        across = crossed(self.axis, self.chord)
         delta = angle + self.offset if self.stuck is None else np.full_like(angle, self.stuck)
         if self.behind is None:
             ahead = self.epsilon * (self.chord @ flow_at(self.position, nu))
