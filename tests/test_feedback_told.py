@@ -48,6 +48,19 @@ def test_sticks_of_a_craft_with_three_thrusters_are_not_feedback():
         assert not answers(record(boat(), steps(1500, seed=seed), seed=seed))
 
 
+@pytest.mark.parametrize("gain", [0.0, 0.5])
+def test_a_held_heading_shows_in_what_two_thrusters_differ_by(gain):
+    """Under sticks for the speed that shake a hundred times as much as what answers the rate of yaw."""
+    rng = np.random.default_rng(1)
+    ahead, seen = 0.3 * rng.normal(size=SAMPLES), NOISE * rng.normal(size=SAMPLES)
+    turn = -gain * seen if gain else 0.5 * NOISE * rng.normal(size=SAMPLES)
+    commands = np.stack([ahead + turn, ahead - turn], axis=1)
+    channels = np.full((SAMPLES, 18), np.nan)
+    channels[:, 11] = seen
+    log = Log(DT * np.arange(SAMPLES), channels, commands, None, ("port", "star"), "log.csv")
+    assert answers(log) == (gain > 0)
+
+
 def test_logs_that_cannot_tell_are_not_feedback():
     log = steered(0, 4.0)
     assert not answers(dataclasses.replace(log, commands=np.zeros_like(log.commands)))

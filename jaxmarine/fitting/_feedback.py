@@ -2,7 +2,7 @@
 
 An autopilot acts on its sensors, their noise included, so that what they showed helps to predict its next
 command better than its past commands do. Hands on sticks do not see the noise, nor does a prepared
-manoeuvre. Source: Granger (1969), with prediction errors on parts of the log that were left out.
+manoeuvre. Source: after Granger (1969), with prediction errors on parts of the log that were left out.
 """
 
 from typing import Any
@@ -18,6 +18,8 @@ from ..logs import Log
 PAST, PARTS = 2, 24
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
 PULL = 1e-6
+# Variance, as a share of a command's own, that is no answer.
+RESTING = 1e-6
 # Probability that one of the commands of a log without feedback looks as if it answered: then a disturbance
 # is looked for that is not there, which costs time and no answer. So one log in ten may.
 CHANCE = 0.1
@@ -26,7 +28,7 @@ CHANCE = 0.1
 def answers(log: Log) -> bool:
     """Whether a command of a log, or its wrench, is predicted better by what has just changed in the samples.
 
-    Better for certain: by the squared errors in parts of the log that were left out, after Wilcoxon (1945).
+    Better for certain: by the errors in parts of the log that were left out, after Wilcoxon (1945).
     """
     if len(log.t) < 4 * PARTS * PAST:
         return False
@@ -49,16 +51,19 @@ def answers(log: Log) -> bool:
     # Here, as it takes half a second to import, which a fit or a check has no use for.
     from scipy.stats import wilcoxon
 
-    chance = 1.0
-    for y in new.T:
-        # One that rests, as at its limit, does not say what it would answer.
-        acts = y != 0
+    def chance(acts: np.ndarray, y: np.ndarray) -> float:
         if acts.sum() < 4 * PARTS * PAST:
-            continue
-        better = np.log(_errors(past[acts], y[acts]) / _errors(both[acts], y[acts]))
+            return 1.0
+        better = _spread(past[acts], y[acts]) - _spread(both[acts], y[acts])
         tested: Any = wilcoxon(better, alternative="greater")
-        chance = min(chance, float(tested.pvalue) * new.shape[1])
-    return chance < CHANCE
+        return float(tested.pvalue)
+
+    acts = (new != 0).any(axis=1)
+    each = [(new[:, i] != 0, new[:, [i]]) for i in np.flatnonzero(new.any(axis=0))]
+    # One that rests, as at its limit, does not say what it would answer, but one that is clipped may. And all
+    # together: an answer may show in the difference of two thrusters alone.
+    chances = [*(chance(*one) for one in each), *(chance(acts, y) for _, y in each), chance(acts, new)]
+    return min(chances) * len(chances) < CHANCE
 
 
 def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "samples channels"]:
@@ -68,17 +73,23 @@ def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "sam
     return np.nan_to_num(seen[last, np.arange(seen.shape[1])])
 
 
-def _errors(
-    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, " samples"]
+def _spread(
+    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, "samples commands"]
 ) -> Float[np.ndarray, " parts"]:
-    """Squared error of a linear regression in each part of a log, fitted to the others."""
+    """Logarithm of the generalised variance of a linear regression's errors in each part of a log.
+
+    Fitted to the other parts. After Geweke (1982), of several series together.
+    """
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
     x = np.concatenate([x, np.ones((len(x), 1))], axis=1)
+    y = y / np.maximum(y.std(axis=0), 1e-12)
     part = np.arange(len(x)) * PARTS // len(x)
     out = np.empty(PARTS)
     for k in range(PARTS):
         here, rest = part == k, part != k
         h = x[rest].T @ x[rest] + PULL * len(x) * np.eye(x.shape[1])
-        out[k] = ((y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])) ** 2).sum()
-    # A command that hardly changes in a part is predicted as well by both.
-    return out + 1e-9 * (y**2).sum()
+        errors = y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])
+        # A command that hardly changes in a part is predicted as well by both.
+        spread = errors.T @ errors / len(errors) + RESTING * np.eye(y.shape[1])
+        out[k] = np.linalg.slogdet(spread)[1]
+    return out
