@@ -390,6 +390,8 @@ def test_a_current_is_taken_alone_and_a_steady_one_is_left_to_its_name():
         bench = workbench(boat(), (in_water(water),), catalogue, None)
         model = bench.likeliest(bench.disturbed(bench.frozen(bench.start())))
         assert bench.amid_more(model).beside.force.kind == kind
+        # Where a search has not named it, it disturbs all the same.
+        assert bench.amid_more(model, steady=False).beside.force.kind == (False, True)
 
 
 @pytest.mark.slow

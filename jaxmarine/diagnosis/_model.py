@@ -610,15 +610,18 @@ class Workbench:
         self._known |= kinds
         return out
 
-    def amid_more(self, model: Model) -> Model:
+    def amid_more(self, model: Model, steady: bool = True) -> Model:
         """The model beside a swell and a current too, where the logs are likelier so by the odds of a name.
 
         Each of their numbers is paid for as a name's are (Schwarz). As it is without a disturbance.
+
+        - `steady`: leaves a current that suits the logs better where it is steady to its name; False asks
+          once more for that current alone.
         """
         if model.beside is None:
             return model
         force, left = model.beside.force, []
-        if not force.swells:
+        if steady and not force.swells:
             left.append(with_swell)
         if not force.flows and {0, 1} & set(force.axes):
             left.append(with_current)
@@ -630,8 +633,8 @@ class Workbench:
                 break
             if left.pop(best) is with_current:
                 # One that wanders can stand for one that is steady, which is a cause with a name.
-                steady = [self.likeliest(one).cost for one in self._in_currents(model)]
-                if min(steady, default=np.inf) < amid[best].cost:
+                named = [self.likeliest(one).cost for one in self._in_currents(model)] if steady else []
+                if min(named, default=np.inf) < amid[best].cost:
                     continue
             model = amid[best]
         return model

@@ -480,7 +480,12 @@ def search(
             held = beside_file(bench, model, phi, tell)
             decided = _decided(bench, model, _by_penalty(bench, _freed(bench, model, held[:MORE])))
         if decided is None:
-            break
+            # A current that was left to its name, and has not got it, disturbs.
+            wider = bench.amid_more(model, steady=False)
+            if wider is model:
+                break
+            model, stats = _weighted(bench, wider, bench.screen(wider))
+            continue
         one, stats = decided
         rounds.append(one)
         held = []
