@@ -28,7 +28,8 @@ from jaxtyping import Array, Float
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import spread, study, write_results
+from experiments._study import decided, spread, study, write_results
+from experiments.tethra_tables import claim_table
 from experiments.thesis.controllers import AXES, DT, MOST, PID, SONCS, Axes, Controller, Seen, all_of
 from jaxmarine import control
 from jaxmarine.control._follow import _off
@@ -397,6 +398,43 @@ def named(file: jm.Vehicle, case: Case, flight: Flight, k: int) -> tuple[jm.Vehi
 
 # --- what is written -----------------------------------------------------------------------------
 
+FEEDFORWARD, LQ, TUNING = "PID and feedforward of the file", "LQ with integral", "self-tuning"
+REFERENCE, PERCEPTRON, CMAC = (
+    "model-reference adaptive",
+    "CCL: perceptron beside PD",
+    "SCL: CMAC beside PD",
+)
+AUGMENTED = "AC: PD, file and adaptive layer"
+FILED, OBSERVED = "MPC with the file", "MPC with the file and an observer"
+# Each controller against the simpler one that it is to be better than: which is less off, dive by dive.
+CLAIMS = (
+    (FEEDFORWARD, "PID"),
+    (LQ, "PID"),
+    (TUNING, "PID"),
+    (REFERENCE, "PID"),
+    (PERCEPTRON, "PID"),
+    (CMAC, "PID"),
+    (AUGMENTED, FEEDFORWARD),
+    (PERCEPTRON, TUNING),
+    (PERCEPTRON, REFERENCE),
+    (FILED, FEEDFORWARD),
+    (FILED, LQ),
+    (OBSERVED, FILED),
+    (OBSERVED, LQ),
+)
+
+
+def claims(controllers: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """`CLAIMS`, decided by pairs of the same dive."""
+    return decided(
+        {
+            f"{one}: less off than {other}": list(
+                zip(controllers[one]["rms_m"], controllers[other]["rms_m"], strict=True)
+            )
+            for one, other in CLAIMS
+        }
+    )
+
 
 def markdown(results: dict[str, Any]) -> str:
     lines = [
@@ -414,6 +452,8 @@ def markdown(results: dict[str, Any]) -> str:
         lines += ["", "| predictive control with | way off, rms m | deepest m |", "|---|---|---|"]
         for name, one in results["named"].items():
             lines.append(f"| {name} | {spread(one['rms_m'], 3)} | {max(one['deepest_m']):.2f} |")
+    if results.get("claims"):
+        lines += ["", claim_table(results["claims"]).rstrip()]
     return "\n".join(lines) + "\n"
 
 
@@ -441,6 +481,7 @@ def main(
             results["controllers"][name] = one
             write_results(out, results, markdown(results))
         if not quick:
+            results["claims"] = claims(results["controllers"])
             results |= causes(file, cases, samples, size, seeds)
             write_results(out, results, markdown(results))
 

@@ -124,6 +124,7 @@ def test_commands_of_a_wrench_give_it_back():
 def test_the_page_says_what_was_found():
     found = json.loads((chapter3.HERE / "results.json").read_text())
     assert len(found["controllers"]["PID"]["failed"]) == found["seeds"] == 20
+    assert chapter3.claims(found["controllers"]) == found["claims"]
     assert chapter3.markdown(found) in (ROOT / "experiments" / "README.md").read_text()
 
 

@@ -82,7 +82,7 @@ def test_the_worst_channel_is_graded_by_axis(boat):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", ["ours", "bic", "score", "bank"])
+@pytest.mark.parametrize("key", ["ours", "bic", "score", "bank", "augmented"])
 def test_a_plain_cause_is_named_and_buys_something(boat, key):
     row = rivals.row(boat, key, 1)
     assert row["first"] and row["found"][0] == NAME

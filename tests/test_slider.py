@@ -290,8 +290,8 @@ def test_a_kind_of_masses_of_ones_own_is_read_and_moves(tmp_path):
     jm.save_vehicle(two, tmp_path / "again.toml")
     again = jm.load_vehicle(tmp_path / "again.toml", kinds=kinds)
     assert jax.tree.structure(two) == jax.tree.structure(again)
+    (tmp_path / "same.toml").write_text(text + half + half.replace("[slider]", "[twin]"))
     with pytest.raises(InputError, match="as another actuator's is"):
-        (tmp_path / "same.toml").write_text(text + half + half.replace("[slider]", "[twin]"))
         jm.load_vehicle(tmp_path / "same.toml", kinds=kinds)
     # Two halves that move alike are one mass.
     t = np.arange(0.0, 8.0, 0.1)
