@@ -12,7 +12,7 @@ from jaxmarine.diagnosis import Box, Manoeuvre, plan
 from jaxmarine.diagnosis._model import Member
 from jaxmarine.diagnosis._plan import DT, _causes, _ranges
 from jaxmarine.diagnosis._prepare import workbench
-from jaxmarine.effects import CATALOGUE
+from jaxmarine.effects import CATALOGUE, GyroBias
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import cause_named, load_vehicle, packaged_vehicle
@@ -48,6 +48,9 @@ def test_the_evidence_is_what_a_refit_of_the_rival_leaves():
     commands = jnp.asarray(found.log.commands)
     apart = problem.separations(commands, *problem.flown(commands))
     assert found.evidence == pytest.approx(0.5 * float(apart.min()), rel=1e-6)
+    # Kinds of effects that its programs hold for other plans change nothing.
+    wider = _causes(craft, causes(), 24.0, BOX, (GyroBias,))
+    np.testing.assert_allclose(wider.separations(commands, *wider.flown(commands)), apart, rtol=1e-6)
 
     bench = workbench(craft, (found.log,), CATALOGUE, None)
     assert bench.data.length == pytest.approx(problem.window * DT, abs=0.5 * DT)
