@@ -77,7 +77,7 @@ def start_of(log: jm.Log, width: int) -> jm.Vehicle:
 def width_of(name: str, leaf: Any) -> Any:
     """Of the prior: none of mass and damping; of weights so that a sum of many is as large as one of few.
 
-    Source: Neal (1996), Bayesian Learning for Neural Networks.
+    After Neal (1996), Bayesian Learning for Neural Networks.
     """
     shape = np.shape(leaf)
     wide = SPREAD / np.sqrt(shape[1] if len(shape) == 2 else 1.0) if name == "network" else np.inf

@@ -127,7 +127,7 @@ def ours(case: Case, rounds: int) -> Row:
 def sparse(case: Case, rounds: int) -> Row:
     """Sequentially thresholded least squares of the accelerations that the model misses.
 
-    Source: Brunton, Proctor and Kutz (2016), here with the catalogue as library. Columns that add nothing to
+    After Brunton, Proctor and Kutz (2016), here with the catalogue as library. Columns that add nothing to
     the acceleration at a measured state, those of sensor effects, cannot be named.
     """
     del rounds

@@ -363,7 +363,7 @@ def probabilities(
 def trust_in(log_p: Float[np.ndarray, "runs states"], state: Int[np.ndarray, " runs"]) -> float:
     """The power of the evidence of least log loss, at most 1: what the model is off by makes it too sure.
 
-    Source: temperature scaling; Guo, Pleiss, Sun and Weinberger (2017), On calibration of modern neural
+    Source: temperature scaling; after Guo, Pleiss, Sun and Weinberger (2017), On calibration of modern neural
     networks.
     """
 

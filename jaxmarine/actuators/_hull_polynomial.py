@@ -60,7 +60,7 @@ class HullPolynomial(AbstractHull):
     Polynomials speak of a ship under way. Astern the hull is its own mirror image, with a smooth change where
     it goes aside; where it turns on the spot, U counts as 0.02 r L; at rest force and slope are zero.
 
-    Source: Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52, on hull forces.
+    After Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52, on hull forces.
     """
 
     key: ClassVar[str] = "hull_polynomial"

@@ -52,7 +52,7 @@ class Wind(AbstractActuators):
     The coefficients are harmonics of the apparent angle. Without wind there is no
     force, and its slope is finite.
 
-    Source: Blendermann (1994), J. Wind Eng. Ind. Aerodyn. 51, 339-351; Isherwood (1972), Trans. RINA 115.
+    After Blendermann (1994), J. Wind Eng. Ind. Aerodyn. 51, 339-351; Isherwood (1972), Trans. RINA 115.
     """
 
     key: ClassVar[str] = "wind"

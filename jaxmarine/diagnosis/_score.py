@@ -57,7 +57,7 @@ def scatter(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarr
     """Variance of a sum over windows, per window, with what neighbours have in common.
 
     A slow disturbance pushes several windows in a row the same way: it does not average out as noise
-    does. Source: Newey and West (1987), with their weights; never less than without neighbours.
+    does. After Newey and West (1987), with their weights; never less than without neighbours.
     """
     count = len(per_window)
     off = per_window - per_window.mean(0)
@@ -73,7 +73,7 @@ def lasting(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarr
     """Variance of a sum over windows, per window, if each remembers a share of the one before.
 
     Less biased than `scatter` where a disturbance lasts for some windows, as weights that fall off leave out
-    much of that; less steady for decisions. Source: Andrews and Monahan (1992), prewhitening of first order.
+    much of that; less steady for decisions. After Andrews and Monahan (1992), prewhitening of first order.
     The share has its bias of small samples taken off (Kendall 1954). Never less than without memory.
     """
     count = len(per_window)

@@ -133,7 +133,7 @@ class InputDelay(DriveEffect, ActuatorEffect):
 class Deadband(DriveEffect):
     """Small commands do nothing: c -> sign(c) max(|c| - width, 0). Neutral: 0.
 
-    Source: the thruster block of Blue Robotics ESCs behaves so; Bessa et al. (2006), dead-zone thrusters.
+    Source: the thruster block of Blue Robotics ESCs behaves so; after Bessa et al. (2006), dead-zone thrusters.
     """
 
     name = "deadband"
@@ -232,7 +232,7 @@ class ThrustCurve(DriveEffect):
 class ThrusterGain(DriveEffect, ActuatorEffect):
     """A thruster or propeller gives `factor` times the thrust of the file. Neutral: 1; near 0 it gives none.
 
-    Source: loss-of-effectiveness fault; Omerdic and Roberts, Control Engineering Practice 12 (2004).
+    Source: loss-of-effectiveness fault; after Omerdic and Roberts, Control Engineering Practice 12 (2004).
     """
 
     name = "thruster_gain"

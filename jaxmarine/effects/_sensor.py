@@ -74,7 +74,7 @@ class VelocityLeverArm(SensorEffect):
 class VelocityMisalignment(SensorEffect):
     """The velocity sensor is turned about z: logged = Rz(yaw) (u, v, w). Neutral: 0.
 
-    Source: Doppler log alignment; Kinsey and Whitcomb, IEEE J. Oceanic Eng. (2007).
+    Source: Doppler log alignment; after Kinsey and Whitcomb, IEEE J. Oceanic Eng. (2007).
     """
 
     name = "velocity_misalignment"
@@ -111,7 +111,7 @@ class VelocityMisalignment(SensorEffect):
 class VelocityScale(SensorEffect):
     """Logged velocities are `factor` times the true ones. Neutral: 1.
 
-    Source: sound-speed scale error of a Doppler log; Hegrenaes and Hallingstad (2011).
+    Source: sound-speed scale error of a Doppler log; after Hegrenaes and Hallingstad (2011).
     """
 
     name = "velocity_scale"

@@ -163,7 +163,7 @@ class TurningLift(WrenchEffect):
     """Lift of a hull that turns while it makes way: Y = -Y_ur u r, N = -N_ur |u| r. Neutral: 0.
 
     The moment brakes the turn going ahead and astern. Source: after Fossen (2021), on lift of the hull and
-    its fins; Yasukawa and Yoshimura (2015), the linear yaw-rate terms of the hull forces.
+    its fins; after Yasukawa and Yoshimura (2015), the linear yaw-rate terms of the hull forces.
     """
 
     name = "turning_lift"

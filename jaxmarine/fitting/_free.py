@@ -126,7 +126,7 @@ class Inertia(AbstractPart):
     negative. `rest` is R in $M_{RB} + M_A = R + L L^T$: all that is held, `other` the summand that is not
     free.
 
-    Source: Pinheiro and Bates (1996), Statistics and Computing 6, 289-296, a hyperbola for their logarithm.
+    After Pinheiro and Bates (1996), Statistics and Computing 6, 289-296, a hyperbola for their logarithm.
     """
 
     start: Float[Array, " own"]

@@ -5,7 +5,7 @@ Gauss-Newton finds the minimum in a few steps, and their information is small. O
 thousands of numbers, whose information is larger than a memory; they go down the gradient, all others with
 them. Error bars are those of what Gauss-Newton fits, at the hidden layers as they are trained.
 
-Source: Golub and Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432 (what is linear is solved for); Kristiadi,
+After Golub and Pereyra (1973), SIAM J. Numer. Anal. 10, 413-432 (what is linear is solved for); Kristiadi,
 Hein and Hennig (2020), ICML (Laplace's approximation in the last layer).
 """
 
@@ -164,7 +164,7 @@ def descended(training: Training, start: Unknowns, batches: Int[Array, "updates 
     """The unknowns after an update by each batch, with the loss of everything before and after.
 
     By Adam with a rate that falls to nothing as half a cosine: noise of the batches dies out with it.
-    Source: Kingma and Ba (2015), ICLR; Loshchilov and Hutter (2017), ICLR.
+    After Kingma and Ba (2015), ICLR; Loshchilov and Hutter (2017), ICLR.
     """
     # Imported where it is needed: that takes 0.15 s, and hardly any fit needs it.
     import optax

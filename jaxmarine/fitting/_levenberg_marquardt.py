@@ -58,7 +58,7 @@ def levenberg_marquardt(
     - `fn(y, args)`: residuals, a pytree of arrays.
     - `starts`: y with one leading axis more. All run together under `vmap`, as long as the slowest.
 
-    Source: Levenberg (1944), Marquardt (1963).
+    After Levenberg (1944), Marquardt (1963).
     """
     solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol)
 

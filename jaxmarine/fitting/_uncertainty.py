@@ -132,7 +132,7 @@ def _sandwich(estimate: Estimate, units: Units) -> np.ndarray:
 
     With the total information as unit, the score of a window with information h has, under the
     model, the covariance h - h²; (1 - h)^-1/2 restores h, so that the result is unbiased.
-    Source: Bell and McCaffrey (2002), Survey Methodology 28, 169-181.
+    After Bell and McCaffrey (2002), Survey Methodology 28, 169-181.
     """
     count = estimate.scores.shape[1]
     if len(estimate.scores) < _FEWEST:
