@@ -133,7 +133,7 @@ class InputDelay(DriveEffect, ActuatorEffect):
 class Deadband(DriveEffect):
     """Small commands do nothing: c -> sign(c) max(|c| - width, 0). Neutral: 0.
 
-    Source: the thruster block of Blue Robotics ESCs behaves so; after Bessa et al. (2006), dead-zone thrusters.
+    Source: the thruster block of Blue Robotics ESCs behaves so; after Bessa et al. (2006), dead zones.
     """
 
     name = "deadband"
