@@ -98,7 +98,7 @@ class SurfaceTable(Table):
 
     @property
     def slope(self) -> float:
-        """Lift per angle of attack at small angles [1/rad]; by the aspect ratio after Fujii and Tuda (1961)."""
+        """Lift per angle of attack at small angles [1/rad]; by aspect ratio after Fujii and Tuda (1961)."""
         if self.lift_slope is not None:
             return self.lift_slope
         ratio = self.aspect_ratio or 0.0

@@ -344,7 +344,7 @@ class Voltage(ActuatorEffect):
 class WindLoad(ActuatorEffect):
     """The first harmonics of the wind's coefficients are `surge`, `sway` and `yaw` more. Neutral: 0.
 
-    After Blendermann (1994); Isherwood (1972).
+    Source: after Blendermann (1994) and Isherwood (1972).
     """
 
     name = "wind"
