@@ -318,6 +318,17 @@ def table(s: Row) -> str:
     return "\n".join(lines) + "\n"
 
 
+def told(s: Row, steered: str) -> str:
+    """What was wanted and met of logs steered in one way, as Markdown."""
+    lines = ["| | right | of | % (95 % interval) | wanted % |", "|---" * 5 + "|"]
+    for t in s["targets"]:
+        one, wanted = t[steered], " to ".join(f"{100 * x:.0f}" for x in t[steered]["wanted"])
+        rate = f"{100 * one['right'] / one['of']:.0f} " if one["of"] else ""
+        interval = f"{rate}({100 * one['low']:.0f} to {100 * one['high']:.0f})"
+        lines.append(f"| {t['text']} | {one['right']} | {one['of']} | {interval} | {wanted} |")
+    return "\n".join(lines) + "\n"
+
+
 def _marked(ax, x: float, found: Row) -> None:
     """A share with its interval and the number of logs."""
     rate = found["right"] / found["of"]

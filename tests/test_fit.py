@@ -542,9 +542,8 @@ def _fit_hybrid(vehicle: Vehicle, log: Log, spread: float, loss: str) -> Fit:
     return fit(vehicle, log, free, entries="diagonal", prior=prior, loss=loss, max_steps=300)
 
 
-@pytest.mark.parametrize(
-    ("loss", "times_better"), [pytest.param("trajectory", 4.0, marks=pytest.mark.slow), ("one_step", 2.0)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("loss", "times_better"), [("trajectory", 4.0), ("one_step", 2.0)])
 def test_a_network_learns_damping_that_is_neither_linear_nor_quadratic(loss, times_better):
     truth = _surge(2.0, 0.0).place(Placed(CubicDamping(jnp.asarray(60.0))))
     start = _hybrid(_surge(6.0, 90.0))

@@ -327,6 +327,7 @@ def test_a_screening_sums_groups_of_windows_and_has_a_free_wrench():
     assert np.linalg.norm(by_wrench, axis=(0, 1)).max() > 1.0
 
 
+@pytest.mark.slow
 def test_what_moving_water_does_is_that_of_forward_mode():
     """Each window in a current of its own, through a speed that is shown relative to the water as well."""
     vehicle, samples, water = boat(), 120, np.array([0.2, -0.1, 0.0])

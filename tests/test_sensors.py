@@ -301,6 +301,7 @@ def by_forward_mode(problem, theta, delta):
     return residuals(z, move), by_move, by_z
 
 
+@pytest.mark.slow
 def test_their_slopes_are_those_of_forward_mode():
     """By the current, which they show, the damping, which they feel, and the compass, which they do not."""
     vehicle, dt, length = packaged("cybership2"), 0.05, 2.0

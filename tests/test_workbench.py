@@ -250,6 +250,7 @@ def test_a_log_that_goes_on_moves_as_it_did_before():
     np.testing.assert_array_equal(moved[1][:200], moved[0])
 
 
+@pytest.mark.slow
 def test_rows_that_are_missing_are_stepped_over_as_a_simulation_does():
     """A quarter of the rows of an exact log of a vehicle that is stiff in what is left of them."""
     stiff = boat()
