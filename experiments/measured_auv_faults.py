@@ -134,30 +134,42 @@ def reliability(
 # --- what is written -----------------------------------------------------------------------------
 
 
-def markdown(results: dict[str, Any]) -> str:
-    """The tables of scores, the confusion matrices, parameters and scatters."""
+def scores_table(scores: dict[str, Any]) -> str:
+    """One line per answer, as Markdown."""
     lines = [
         "| answer | runs | accuracy | log loss | Brier | surprise | inconclusive | confident, right |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for name, row in results["scores"].items():
+    for name, row in scores.items():
         cells = [
-            "{:.2f} ({:.2f} to {:.2f})".format(*row[k]) for k in ("accuracy", "log_loss", "brier", "surprise")
+            "{:.2f} ({:.2f} to {:.2f})".format(*(round(x, 2) + 0.0 for x in row[k]))  # no -0.00
+            for k in ("accuracy", "log_loss", "brier", "surprise")
         ]
         sure = f"{row['confident_right']} of {row['confident']}" if row["confident"] else "none"
         lines.append(
             f"| {name} | {row['runs']} | " + " | ".join(cells) + f" | {row['inconclusive']:.2f} | {sure} |"
         )
-    for name in (MODEL, LEFT_OUT, LEVEL):
-        lines += ["", f"| {name}: true \\ likeliest | " + " | ".join(SHORT) + " |", "|---" * 6 + "|"]
-        rows = zip(SHORT, results["scores"][name]["confusion"], strict=True)
-        lines += [f"| {label} | " + " | ".join(map(str, row)) + " |" for label, row in rows]
-    lines += ["", f"Power of the evidence, from training runs left out: {results['trust']:.2f}"]
+    return "\n".join(lines) + "\n"
+
+
+def confusion_table(scores: dict[str, Any], name: str) -> str:
+    """Runs by true state (rows) and likeliest state, as Markdown."""
+    lines = [f"| {name}: true \\ likeliest | " + " | ".join(SHORT) + " |", "|---" * 6 + "|"]
+    rows = zip(SHORT, scores[name]["confusion"], strict=True)
+    lines += [f"| {label} | " + " | ".join(map(str, row)) + " |" for label, row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def markdown(results: dict[str, Any]) -> str:
+    """The tables of scores, the confusion matrices, parameters and scatters."""
+    scores = results["scores"]
+    tables = [scores_table(scores), *(confusion_table(scores, name) for name in (MODEL, LEFT_OUT, LEVEL))]
+    lines = [f"Power of the evidence, from training runs left out: {results['trust']:.2f}"]
     lines += ["", "| parameter | value | standard deviation |", "|---|---|---|"]
     lines += [f"| {name} | {value:.3f} | {std:.3f} |" for name, (value, std) in results["parameters"].items()]
     lines += ["", "| scatter | value |", "|---|---|"]
     lines += [f"| {name} | {value:.4f} |" for name, value in results["scatter"].items()]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*tables, *lines]) + "\n"
 
 
 def heave_figure(fit: Fitted, runs: Runs, path: Path) -> None:

@@ -34,6 +34,7 @@ from jaxmarine._types import DOFS
 from jaxmarine.effects import Payload, SteadyCurrent
 from jaxmarine.networks import mlp_damping
 
+HERE = Path(__file__).parent / "tethra" / "control"
 DT = plant.DT
 # The text's depths, 0.3 m to 2 m; the caption of fig. 5.7 says 1.5 m to 3.5 m. Nothing in the model depends
 # on depth. Radius, speed and length are not stated: four turns within the pool.
@@ -440,6 +441,14 @@ def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row | {"met": bool(row["value"] <= row["bound"])} for row in out]
 
 
+def counted(verdicts: list[dict[str, Any]]) -> dict[str, int]:
+    """How many updates were offered, and accepted; a window that is not full offers none."""
+    return {
+        "accepted": sum(row["verdict"] == "accepted" for row in verdicts),
+        "offered": sum(not row["verdict"].startswith("the window") for row in verdicts),
+    }
+
+
 def markdown(results: dict[str, Any]) -> str:
     """Errors per case, and what was to be reached."""
     lines = [
@@ -461,10 +470,9 @@ def markdown(results: dict[str, Any]) -> str:
         f"| {row['target']} | {row['value']:.2g} | {row['bound']:g} | {'yes' if row['met'] else 'no'} |"
         for row in results["targets"]
     ]
-    updates = results["verdicts"]
-    taken = sum(row["verdict"] == "accepted" for row in updates)
-    offered = sum(not row["verdict"].startswith("the window") for row in updates)
-    return "\n".join([*lines, "", f"Updates under way: {taken} of {offered} accepted.", ""])
+    updates = results["updates"]
+    told = f"Updates under way: {updates['accepted']} of {updates['offered']} accepted."
+    return "\n".join([*lines, "", told, ""])
 
 
 def _three(values: Sequence[float]) -> str:
@@ -555,6 +563,7 @@ def write(cases: Cases, out: Path) -> None:
         "rows": cases.rows,
         "summary": summary(cases.rows),
         "targets": targets(cases.rows),
+        "updates": counted(cases.verdicts),
         "verdicts": cases.verdicts,
     }
     write_results(out, results, markdown(results))
@@ -583,7 +592,7 @@ def main(
             changed(cases, models, seed)
             augmented(cases, models, seed)
             write(cases, out)
-    console.print((out / "results.md").read_text(encoding="utf-8"), markup=False)
+    console.print((out / "results.md").read_text(encoding="utf-8"), markup=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,8 @@ from experiments._study import save_figure, study, write_results
 from jaxmarine.physics import Assembly, Cylinder, Element, compose, rotation, skew
 from jaxmarine.vehicle_file import VehicleFile, read_vehicle_file, write_vehicle_file
 
-ELEMENTS = Path(__file__).parent / "tethra" / "elements.toml"
+TETHRA = Path(__file__).parent / "tethra"
+ELEMENTS, HERE = TETHRA / "elements.toml", TETHRA / "geometry"
 PLACE = ("length", "x", "y", "z", "phi", "theta", "psi")  # in the rows of the file
 # What the thesis prints: the total mass with three end plates, (5.14), (5.15).
 PRINTED_MASS = "231.37"

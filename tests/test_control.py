@@ -18,6 +18,8 @@ from jaxmarine import control
 from jaxmarine.control import _learner
 from jaxmarine.physics import rotation, to_euler
 
+from .conftest import ROOT
+
 
 @pytest.fixture(scope="module")
 def tethra() -> jm.Vehicle:
@@ -287,6 +289,13 @@ def test_an_update_is_taken_only_where_it_predicts_better(tethra, monkeypatch):
 
 
 # --- the study ------------------------------------------------------------------------------------
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((tethra_control.HERE / "results.json").read_text())
+    noisy = [one for one in found["summary"] if one["case"] != "I"]
+    assert {one["seeds"] for one in noisy} == {5}
+    assert tethra_control.markdown(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ import jaxmarine as jm
 from experiments import tethra_geometry as tethra
 from jaxmarine.physics import AbstractSolid, Assembly, Box, Cylinder, Element, Sphere
 
+from .conftest import ROOT
+
 # Gauss-Legendre with 6 points integrates polynomials to degree 11 exactly; the integrands have at most 5.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 ANGLES = np.linspace(0, 2 * np.pi, 8, endpoint=False)  # exact for cosines to the 7th multiple
@@ -232,6 +234,19 @@ def test_the_corrected_craft_has_the_numbers_of_an_independent_calculation(study
     assert results["transposed_rotation_alone_changes_inertia_by_kg_m2"] < 1e-3
     about_o = results["inertia_about_o_of_the_printed_numbers_kg_m2"]
     np.testing.assert_allclose(np.diag(about_o), [63.57, 61.64, 52.70], atol=6e-3)
+
+
+def test_the_page_says_what_was_calculated():
+    kept = json.loads((tethra.HERE / "results.json").read_text())
+    assert kept["draws"] == 1000
+    assert tethra.markdown(kept) in (ROOT / "experiments" / "README.md").read_text()
+
+
+def test_the_kept_numbers_are_still_what_is_calculated(study):
+    kept = json.loads((tethra.HERE / "results.json").read_text())
+    # Only the deviations hang on how often is drawn.
+    now = study[0] | {"std_by_rounding": kept["std_by_rounding"]}
+    assert tethra.markdown(now) == tethra.markdown(kept)
 
 
 def test_numbers_are_drawn_within_their_rounding_and_twins_stay_twins(study):

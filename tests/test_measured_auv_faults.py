@@ -15,6 +15,8 @@ from experiments import measured_auv_faults as auv
 from experiments.haizhe import heave
 from experiments.haizhe import runs as haizhe
 
+from .conftest import ROOT
+
 # Sizes as fitted to the measured runs, rounded; the two damages are alike.
 TRUTH = {
     "log thrust": -0.8,
@@ -176,6 +178,19 @@ def test_scores_are_those_worked_by_hand():
     assert scores["confusion"][0] == [1, 1, 0, 0, 0]
     # One session: nothing else can be drawn.
     assert scores["accuracy"] == [0.5, 0.5, 0.5]
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((auv.HERE / "results.json").read_text())
+    page = (ROOT / "experiments" / "README.md").read_text()
+    scores = found["scores"]
+    assert scores[auv.MODEL]["runs"] == 75 and scores[auv.LEFT_OUT]["runs"] == 300
+    assert auv.scores_table(scores) in page and auv.confusion_table(scores, auv.MODEL) in page
+    told, state = np.array(found["test_probabilities"]), np.array(found["test_states"])
+    weight, pressure = (told[state == k, k] for k in (1, 2))
+    sure = [(own > auv.CONFIDENT).sum() for own in (pressure, weight)]
+    words = f"{weight.mean():.2f} on average where they are true, and {sure[0]} and {sure[1]} of their 15"
+    assert words in " ".join(page.split())
 
 
 def test_without_the_data_it_says_so(tmp_path, capsys):
