@@ -1,10 +1,13 @@
 """What is counted over logs with a known answer, on rows made by hand: no diagnosis is run."""
 
 import hashlib
+import json
 from typing import Any
 
 from experiments._study import program
-from experiments.blind_matrix import Row, summary, table
+from experiments.blind_matrix import GROUPS, HERE, Row, summary, table, told
+
+from .conftest import ROOT
 
 
 def row(kind: str, hidden: list, *found: tuple[str, str | None], **more: Any) -> Row:
@@ -101,3 +104,11 @@ def test_logs_under_feedback_stand_beside_those_of_sticks():
     text = table(s)
     assert "| 1 of 1 | 100.0 (20.7 to 100.0) | 98 | yes | 1 of 2 | 50.0 (9.5 to 90.5) | 95 | no |" in text
     assert "| station, waves | 2.00 |" in text
+
+
+def test_the_page_has_the_numbers_of_the_logs_under_feedback():
+    rows = json.loads((HERE / "results.json").read_text())["rows"]
+    page = (ROOT / "docs" / "trust.md").read_text()
+    assert told(summary(rows), GROUPS[1]) in page
+    right = sum(row["whole"] for row in rows)
+    assert f"Of {len(rows)}, those" in page and f"{right} have a wholly right answer" in page
