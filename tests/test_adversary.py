@@ -97,11 +97,15 @@ def test_fresh_tricks_do_what_they_say():
     assert np.mean(values["dropouts"]["u"] == 0.0) == pytest.approx(1 / 97, rel=0.1)
 
 
-def test_the_page_says_what_fresh_tricks_got():
-    found = json.loads((adversary.HERE / "results.json").read_text())
-    for name, trick in fresh_tricks().items():
+@pytest.mark.parametrize(
+    ("folder", "tricks"), [(adversary.HERE, fresh_tricks), (adversary.MENDED, adversary.tricks)]
+)
+def test_the_page_says_what_the_tricks_got(folder, tricks):
+    found = json.loads((folder / "results.json").read_text())
+    for name, trick in tricks().items():
         assert found[name]["fair"] == is_honest(trick, found[name]["said"])
-    assert found.keys() == fresh_tricks().keys()
+        assert found[name]["text"] == trick.text and found[name]["honest"] == [*trick.answers]
+    assert found.keys() == tricks().keys()
     assert adversary.table(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
