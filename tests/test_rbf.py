@@ -103,8 +103,8 @@ def test_a_column_costs_one_product_with_a_vector():
     counted = []
     spent = cpu(lambda: counted.append(len(grow(gram, right, 500).order)))
     assert counted == 2 * [500]
-    # Measured: 1.6 times, for what each column would save is kept too, and 8 on a busy machine. A solve for each
-    # would be 450 times; the bound lies half way, in logarithms.
+    # Measured: 1.6 times, for what each column would save is kept too, and 8 on a busy machine. A solve for
+    # each would be 450 times; the bound lies half way, in logarithms.
     assert spent < 27.0 * cpu(row_by_row)
 
 
