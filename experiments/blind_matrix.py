@@ -319,7 +319,7 @@ def table(s: Row) -> str:
     return "\n".join(lines) + "\n"
 
 
-def told(s: Row, steered: str) -> str:
+def table_of(s: Row, steered: str) -> str:
     """What was wanted and met of logs steered in one way, as Markdown."""
     lines = ["| | right | of | % (95 % interval) | wanted % |", "|---" * 5 + "|"]
     for t in s["targets"]:

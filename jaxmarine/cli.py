@@ -421,6 +421,13 @@ _ALL_PRIOR = 0.3
 _OF_HULLS = ("hull_lift", "turning_lift")
 
 
+def _kinds():
+    """The kinds of actuators of which logs tell something."""
+    from .actuators import KINDS
+
+    return [kind.key for kind in KINDS if kind.told]
+
+
 def _told(key, vehicle):
     """What logs tell of all actuators of a kind."""
     those = [one for one in vehicle.actuators if one.key == key]
@@ -436,10 +443,9 @@ def _checked_free(free):
             "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
             "`added_mass`); once will do."
         )
-    from .actuators import KINDS
     from .effects import CATALOGUE
 
-    names = (*_FREE, *(kind.key for kind in KINDS if kind.told))
+    names = (*_FREE, *_kinds())
     effects = {effect.name for effect in CATALOGUE}
     for name in free if free != ["all"] else ():
         if name not in names and name.partition(":")[0] not in effects:
@@ -451,10 +457,9 @@ def _checked_free(free):
 
 def _freed(free, craft):
     """What `--free` names of a vehicle: it with the effects to fit, the names, what selects each."""
-    from .actuators import KINDS
     from .vehicle_io import with_effect
 
-    kinds = [kind.key for kind in KINDS if kind.told]
+    kinds = _kinds()
     has = {one.key for one in craft.actuators}
     lacks = {*kinds} - has
     lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}

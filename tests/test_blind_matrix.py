@@ -5,7 +5,7 @@ import json
 from typing import Any
 
 from experiments._study import program
-from experiments.blind_matrix import GROUPS, HERE, Row, summary, table, told
+from experiments.blind_matrix import GROUPS, HERE, Row, summary, table, table_of
 
 from .conftest import ROOT
 
@@ -109,6 +109,6 @@ def test_logs_under_feedback_stand_beside_those_of_sticks():
 def test_the_page_has_the_numbers_of_the_logs_under_feedback():
     rows = json.loads((HERE / "results.json").read_text())["rows"]
     page = (ROOT / "docs" / "trust.md").read_text()
-    assert told(summary(rows), GROUPS[1]) in page
+    assert table_of(summary(rows), GROUPS[1]) in page
     right = sum(row["whole"] for row in rows)
     assert f"Of {len(rows)}, those" in page and f"{right} have a wholly right answer" in page

@@ -484,6 +484,8 @@ def search(
             wider = bench.amid_more(model, steady=False)
             if wider is model:
                 break
+            if trials:
+                rounds.pop()
             model, stats = _weighted(bench, wider, bench.screen(wider))
             continue
         one, stats = decided

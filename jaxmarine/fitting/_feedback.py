@@ -2,7 +2,8 @@
 
 An autopilot acts on its sensors, their noise included, so that what they showed helps to predict its next
 command better than its past commands do. Hands on sticks do not see the noise, nor does a prepared
-manoeuvre. Source: after Granger (1969), with prediction errors on parts of the log that were left out.
+manoeuvre, except for slow sines in hardly any noise, which their own responses predict. Source: after Granger
+(1969), with prediction errors on parts of the log that were left out.
 """
 
 from typing import Any
@@ -18,9 +19,9 @@ from ..logs import Log
 PAST, PARTS = 2, 24
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
 PULL = 1e-6
-# Variance, as a share of a command's own, that is no answer.
+# Variance, as a share of that of a command's changes, that is no answer.
 RESTING = 1e-6
-# Probability that one of the commands of a log without feedback looks as if it answered: then a disturbance
+# Probability that a log without feedback looks as if one of its commands answered: then a disturbance
 # is looked for that is not there, which costs time and no answer. So one log in ten may.
 CHANCE = 0.1
 
@@ -36,6 +37,8 @@ def answers(log: Log) -> bool:
     new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
     seen = log.channels[:, STATE].copy()
     measured = np.isfinite(seen).mean(axis=0) > 0.5
+    if not measured.any():
+        return False
     seen = seen[:, measured]
     for i in np.flatnonzero(ANGLES[STATE][measured]):
         # A heading that jumps by a turn has not changed.
@@ -55,15 +58,20 @@ def answers(log: Log) -> bool:
         if acts.sum() < 4 * PARTS * PAST:
             return 1.0
         better = _spread(past[acts], y[acts]) - _spread(both[acts], y[acts])
+        if not better.any():
+            return 1.0
         tested: Any = wilcoxon(better, alternative="greater")
         return float(tested.pvalue)
 
     acts = (new != 0).any(axis=1)
-    each = [(new[:, i] != 0, new[:, [i]]) for i in np.flatnonzero(new.any(axis=0))]
+    each = [new[:, [i]] for i in np.flatnonzero(new.any(axis=0))]
     # One that rests, as at its limit, does not say what it would answer, but one that is clipped may. And all
     # together: an answer may show in the difference of two thrusters alone.
-    chances = [*(chance(*one) for one in each), *(chance(acts, y) for _, y in each), chance(acts, new)]
-    return min(chances) * len(chances) < CHANCE
+    tests = [(acts, y) for y in each]
+    tests += [(y[:, 0] != 0, y) for y in each if not np.array_equal(y[:, 0] != 0, acts)]
+    tests += [(acts, new)] if len(each) > 1 else []
+    chances = [chance(*one) for one in tests]
+    return bool(chances) and min(chances) * len(chances) < CHANCE
 
 
 def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "samples channels"]:

@@ -193,8 +193,8 @@ def remainder(diagnosis: Diagnosis) -> str:
     if large:
         return f"What is left in {joined(large)} is larger than any plausible disturbance."
     return (
-        "What is left is more than sensor noise, and goes with no logged signal for certain: a disturbance, "
-        "such as waves or gusts, or a cause that these logs are too short to show."
+        "What is left is more than sensor noise, and of no logged signal is it certain that it goes with it: "
+        "a disturbance, such as waves or gusts, or a cause that these logs are too short to show."
     )
 
 
