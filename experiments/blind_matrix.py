@@ -255,6 +255,21 @@ def summary(rows: Sequence[Row]) -> Row:
     return out
 
 
+def _rate(one: Row, digits: int) -> str:
+    """A share in per cent with its interval."""
+
+    def percent(x: float) -> str:
+        return f"{100 * x:.{digits}f}"
+
+    rate = percent(one["right"] / one["of"]) if one["of"] else "–"
+    return f"{rate} ({percent(one['low'])} to {percent(one['high'])})"
+
+
+def _wanted(one: Row) -> str:
+    """The share that is wanted, or its least and most, in per cent."""
+    return " to ".join(f"{100 * x:.0f}" for x in one["wanted"])
+
+
 def table(s: Row) -> str:
     """The summary as Markdown."""
 
@@ -266,10 +281,7 @@ def table(s: Row) -> str:
         lines += [f"Their rows come from {len(s['programs'])} programs: {', '.join(s['programs'])}.", ""]
 
     def cells(t: Row) -> list[str]:
-        rate = percent(t["right"] / t["of"]) if t["of"] else "–"
-        interval = f"{rate} ({percent(t['low'])} to {percent(t['high'])})"
-        wanted = " to ".join(f"{100 * x:.0f}" for x in t["wanted"])
-        return [f"{t['right']} of {t['of']}", interval, wanted, "yes" if t["met"] else "no"]
+        return [f"{t['right']} of {t['of']}", _rate(t, 1), _wanted(t), "yes" if t["met"] else "no"]
 
     titles = (f"{steered} | % (95 % interval) | wanted % | met" for steered in GROUPS)
     lines += [f"| | {' | '.join(titles)} |", "|---" * (1 + 4 * len(GROUPS)) + "|"]
@@ -323,10 +335,9 @@ def table_of(s: Row, steered: str) -> str:
     """What was wanted and met of logs steered in one way, as Markdown."""
     lines = ["| | right | of | % (95 % interval) | wanted % |", "|---" * 5 + "|"]
     for t in s["targets"]:
-        one, wanted = t[steered], " to ".join(f"{100 * x:.0f}" for x in t[steered]["wanted"])
-        rate = f"{100 * one['right'] / one['of']:.0f} " if one["of"] else ""
-        interval = f"{rate}({100 * one['low']:.0f} to {100 * one['high']:.0f})"
-        lines.append(f"| {t['text']} | {one['right']} | {one['of']} | {interval} | {wanted} |")
+        one = t[steered]
+        cells = (t["text"], str(one["right"]), str(one["of"]), _rate(one, 0), _wanted(one))
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

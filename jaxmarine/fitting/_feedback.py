@@ -9,7 +9,7 @@ manoeuvre, except for slow sines in hardly any noise, which their own responses 
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .._angles import ANGLES
 from .._types import STATE
@@ -54,24 +54,31 @@ def answers(log: Log) -> bool:
     # Here, as it takes half a second to import, which a fit or a check has no use for.
     from scipy.stats import wilcoxon
 
-    def chance(acts: np.ndarray, y: np.ndarray) -> float:
-        if acts.sum() < 4 * PARTS * PAST:
-            return 1.0
-        better = _spread(past[acts], y[acts]) - _spread(both[acts], y[acts])
+    def chance(before: np.ndarray, after: np.ndarray) -> float:
+        better = _spread(before) - _spread(after)
         if not better.any():
             return 1.0
         tested: Any = wilcoxon(better, alternative="greater")
         return float(tested.pvalue)
 
-    acts = (new != 0).any(axis=1)
-    each = [new[:, [i]] for i in np.flatnonzero(new.any(axis=0))]
+    def errors(acts: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _errors(past[acts], y[acts]), _errors(both[acts], y[acts])
+
+    acts, moves = (new != 0).any(axis=1), new.any(axis=0)
+    new = new[:, moves]
+    if acts.sum() < 4 * PARTS * PAST:
+        return False
     # One that rests, as at its limit, does not say what it would answer, but one that is clipped may. And all
     # together: an answer may show in the difference of two thrusters alone.
-    tests = [(acts, y) for y in each]
-    tests += [(y[:, 0] != 0, y) for y in each if not np.array_equal(y[:, 0] != 0, acts)]
-    tests += [(acts, new)] if len(each) > 1 else []
-    chances = [chance(*one) for one in tests]
-    return bool(chances) and min(chances) * len(chances) < CHANCE
+    before, after = errors(acts, new)
+    chances = [chance(before[:, [i]], after[:, [i]]) for i in range(new.shape[1])]
+    if new.shape[1] > 1:
+        chances.append(chance(before, after))
+    for y in new.T[:, :, None]:
+        own = y[:, 0] != 0
+        if not np.array_equal(own, acts):
+            chances.append(chance(*errors(own, y)) if own.sum() >= 4 * PARTS * PAST else 1.0)
+    return min(chances) * len(chances) < CHANCE
 
 
 def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "samples channels"]:
@@ -81,23 +88,31 @@ def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "sam
     return np.nan_to_num(seen[last, np.arange(seen.shape[1])])
 
 
-def _spread(
-    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, "samples commands"]
-) -> Float[np.ndarray, " parts"]:
-    """Logarithm of the generalised variance of a linear regression's errors in each part of a log.
+def _parts(samples: int) -> Int[np.ndarray, " samples"]:
+    """In which part of a log each sample lies."""
+    return np.arange(samples) * PARTS // samples
 
-    Fitted to the other parts. After Geweke (1982), of several series together.
-    """
+
+def _errors(
+    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, "samples commands"]
+) -> Float[np.ndarray, "samples commands"]:
+    """Errors of a linear regression, in each part of a log of one fitted to the others; commands scaled."""
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
     x = np.concatenate([x, np.ones((len(x), 1))], axis=1)
     y = y / np.maximum(y.std(axis=0), 1e-12)
-    part = np.arange(len(x)) * PARTS // len(x)
-    out = np.empty(PARTS)
+    part, out = _parts(len(x)), np.empty_like(y)
     for k in range(PARTS):
         here, rest = part == k, part != k
         h = x[rest].T @ x[rest] + PULL * len(x) * np.eye(x.shape[1])
-        errors = y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])
+        out[here] = y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])
+    return out
+
+
+def _spread(errors: Float[np.ndarray, "samples commands"]) -> Float[np.ndarray, " parts"]:
+    """Logarithm of the errors' generalised variance in each part; after Geweke (1982)."""
+    part, out = _parts(len(errors)), np.empty(PARTS)
+    for k in range(PARTS):
+        own = errors[part == k]
         # A command that hardly changes in a part is predicted as well by both.
-        spread = errors.T @ errors / len(errors) + RESTING * np.eye(y.shape[1])
-        out[k] = np.linalg.slogdet(spread)[1]
+        out[k] = np.linalg.slogdet(own.T @ own / len(own) + RESTING * np.eye(own.shape[1]))[1]
     return out
