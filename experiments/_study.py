@@ -118,6 +118,24 @@ def _judged(claims: list[dict[str, Any]], likely: Sequence[bool]) -> list[dict[s
     return claims
 
 
+def number(x: float) -> str:
+    """Three digits; what has diverged as ∞."""
+    if x >= 1e12:
+        return "∞"
+    return f"{x:.3g}" if x < 1000 else f"{x:.0f}"
+
+
+def claim_table(found: list[dict[str, Any]]) -> str:
+    """Each claim with medians, how many dives speak for it, and the verdict of the paired test."""
+    lines = ["| claim | median | against | better in | p (Holm) | verdict |", "|---|---|---|---|---|---|"]
+    for c in found:
+        lines.append(
+            f"| {c['claim']} | {number(c['median'])} | {number(c['against'])} | {c['wins']} of {c['dives']} "
+            f"| {c['p_holm']:.2g} | {c['verdict']} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def in_a_line(claim: dict[str, Any]) -> str:
     """One claim of `discordant`, as an item of Markdown."""
     counts = f"only the first is right on {claim['won']}, only the second on {claim['lost']} of {claim['of']}"

@@ -28,8 +28,7 @@ from jaxtyping import Array, Float
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import decided, spread, study, write_results
-from experiments.tethra_tables import claim_table
+from experiments._study import claim_table, decided, spread, study, write_results
 from experiments.thesis.controllers import AXES, DT, MOST, PID, SONCS, Axes, Controller, Seen, all_of
 from jaxmarine import control
 from jaxmarine.control._follow import _off

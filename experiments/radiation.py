@@ -26,9 +26,8 @@ from jaxtyping import Float
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import decided, spread, study, write_results
+from experiments._study import claim_table, decided, spread, study, write_results
 from experiments.blind.disturbances import components
-from experiments.tethra_tables import claim_table
 from jaxmarine.effects import FluidMemory
 
 HERE = Path(__file__).parent / "waves"

@@ -26,8 +26,7 @@ from jaxtyping import Array, Float
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import decided, study, write_results
-from experiments.tethra_tables import claim_table, number
+from experiments._study import claim_table, decided, number, study, write_results
 from experiments.thesis import baselines, plant, training
 from jaxmarine.fitting import damping_matrices, damping_targets, fit_samples, levenberg_marquardt
 from jaxmarine.fitting._subnets import mass_of, train_acceleration, train_damping

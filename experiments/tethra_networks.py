@@ -24,9 +24,8 @@ from rich.progress import Progress
 
 import jaxmarine as jm
 from experiments import tethra_control as study_of_control
-from experiments._study import decided, spread, study, write_results
+from experiments._study import claim_table, decided, spread, study, write_results
 from experiments.tethra_control import DT, at_rest, dragging, errors, guess, measured, mounted, wrench_for
-from experiments.tethra_tables import claim_table
 from experiments.thesis import plant
 from jaxmarine import control
 from jaxmarine.effects import Payload

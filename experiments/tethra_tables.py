@@ -24,7 +24,7 @@ import typer
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import decided, save_figure, study, write_results
+from experiments._study import claim_table, decided, number, save_figure, study, write_results
 from experiments.thesis import baselines, plant
 from experiments.thesis.baselines import Estimate
 from jaxmarine.fitting import damping_matrices, damping_targets
@@ -268,12 +268,6 @@ def over_seeds(parts: list[dict], case: str, of: str = "errors") -> dict:
     return out
 
 
-def number(x: float) -> str:
-    if x >= 1e12:
-        return "∞"
-    return f"{x:.3g}" if x < 1000 else f"{x:.0f}"
-
-
 def cell(values: Mapping[str, list[float]]) -> str:
     """Diagonal / off-diagonal / zero, each as median, with the least and largest in brackets."""
     words = []
@@ -410,17 +404,6 @@ def reached(tables: dict) -> list[dict]:
                 }
             )
     return out
-
-
-def claim_table(found: list[dict]) -> str:
-    """Each claim with medians, how many dives speak for it, and the verdict of the paired test."""
-    lines = ["| claim | median | against | better in | p (Holm) | verdict |", "|---|---|---|---|---|---|"]
-    for c in found:
-        lines.append(
-            f"| {c['claim']} | {number(c['median'])} | {number(c['against'])} | {c['wins']} of {c['dives']} "
-            f"| {c['p_holm']:.2g} | {c['verdict']} |"
-        )
-    return "\n".join(lines) + "\n"
 
 
 def markdown(results: dict, parts: list[dict]) -> str:
