@@ -25,7 +25,7 @@ from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
 from ._rollout import Problem, fluid_memory, late_of, moves_of, of_segment, start_precision, thrust_of
 from ._trajectory import segments
-from ._windows import cut
+from ._windows import SHORTEST, cut
 
 
 class Samples(eqx.Module):
@@ -129,9 +129,8 @@ def one_step(
     used = np.isfinite(noise) & (instant | (np.arange(len(noise)) < STATE.stop))
     logs = [dataclasses.replace(log, channels=np.where(used, log.channels, np.nan)) for log in logs]
     vehicle, acting = freed.vehicle, segments(freed.vehicle, logs)
-    # Windows play no part here; four in each log leave the two that a cut asks for.
-    shortest = min(len(log.t) * log.dt for log in logs)
-    data = cut(vehicle, logs, noise, shortest / 4, segments=acting.of_samples)
+    # Windows play no part here: the shortest ones there are, so that accidents and gaps leave some.
+    data = cut(vehicle, logs, noise, SHORTEST * logs[0].dt, segments=acting.of_samples)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
         data.records,

@@ -16,6 +16,7 @@ from ..vehicle import Vehicle
 
 # Times from sample to sample after which a log has a gap: more than five samples are missing.
 GAP = 5.5
+SHORTEST = 4  # samples of a window
 # Numbers of the water's velocity that is expected in a window: to the north, and to the east.
 FLOW = 2
 
@@ -157,7 +158,7 @@ def cut(
     noise = np.pad(noise, (0, logs[0].channels.shape[1] - len(noise)), constant_values=np.nan)
     dt = float(np.median([log.dt for log in logs])) if dt is None else dt
     _check_sampling(logs, dt, length)
-    size = max(4, round(length / dt))
+    size = max(SHORTEST, round(length / dt))
     jump = size if stride is None else max(1, round(stride / dt))
     longest = max(len(log.t) for log in logs)
     records, windows, starts, holds = [], [], [], []
