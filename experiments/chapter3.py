@@ -9,11 +9,13 @@ Every seed draws current, thruster, payload, noise and way points; of a seed all
 
 Model-predictive control sends commands through the simulation's own integration and corrects them by
 Levenberg-Marquardt of optimistix; commands are within the thrusters' limits by construction, the depth by a
-penalty. The last table gives it, after all three have happened, the file or the vehicle of a fit of the three
-causes that a diagnosis names.
+penalty. The last tables give it, after all three have happened, the file, the vehicle that a diagnosis of two
+dives under PID has extended, or that of a fit which is told the three causes. Diagnoses lie in `DIR/parts`:
+a run that was cut goes on there.
 """
 
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,7 +42,8 @@ from jaxmarine.vehicle import Input, Plant
 HERE = Path(__file__).parent / "control"
 DOF = ("surge", "sway", "heave", "yaw")
 # Of a good ROV: 2 cm by an acoustic system, 0.01 rad, 1 cm/s by a Doppler log, 0.01 rad/s.
-NOISE = np.repeat([0.02, 0.01, 0.01, 0.01], 3) * np.isin(np.arange(12) % 6, AXES)
+SENSORS = (("position", 0.02), ("attitude", 0.01), ("velocity", 0.01), ("rate", 0.01))
+NOISE = np.repeat([size for _, size in SENSORS], 3) * np.isin(np.arange(12) % 6, AXES)
 CURRENT, WEED, PAYLOAD = 0.2, 0.3, (2.0, 0.001)  # [m/s], share of thrust that is left, [kg] and [m³]
 DEEPEST = 4.0  # [m] floor that the payload pulls towards; the path goes down to 3.8 m
 AWAY = 2.0  # [m] from the path: the dive has failed
@@ -74,8 +77,9 @@ class Case(eqx.Module):
 
 
 def craft() -> jm.Vehicle:
-    """The packaged craft, level: roll and pitch are held by its weight."""
-    return dataclasses.replace(jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy")), dof=DOF)
+    """The packaged craft with these sensors, level: roll and pitch are held by its weight."""
+    vehicle = jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy"))
+    return dataclasses.replace(vehicle, dof=DOF, sensors=SENSORS)
 
 
 def drawn(seed: int, size: Size) -> tuple[Case, control.Path]:
@@ -354,45 +358,64 @@ def row(flight: Flight) -> dict[str, Any]:
 # --- what naming the cause buys ------------------------------------------------------------------
 
 
-def named(file: jm.Vehicle, case: Case, flight: Flight, k: int) -> tuple[jm.Vehicle, dict[str, Any]]:
-    """The vehicle of the three causes, fitted to what sensors showed of one dive, and what was found.
+def logged(file: jm.Vehicle, flight: Flight, k: int) -> jm.Log:
+    """What sensors showed of dive k."""
+    seen = jax.tree.map(lambda a: np.asarray(a)[k], flight.seen)
+    count = len(seen.position)
+    channels = np.full((count, 18), np.nan)
+    channels[:, :3] = seen.position
+    channels[:, 3:6] = np.asarray(jax.vmap(to_euler)(jnp.asarray(seen.attitude)))
+    channels[:, 6:12] = seen.velocity
+    channels[:, :12][:, NOISE == 0] = np.nan
+    commands = np.asarray(flight.commands[k])
+    return jm.Log(np.arange(count) * DT, channels, commands, None, file.thruster_names, f"dive {k}")
 
-    The causes are those that `jm.diagnose` would have to name; the numbers are of `jm.fit` alone.
-    """
-    zero, count = jnp.zeros(()), flight.off.shape[1]
+
+def told(file: jm.Vehicle, log: jm.Log) -> tuple[jm.Vehicle, dict[str, Any]]:
+    """The vehicle of the three causes, by `jm.fit` to one dive, and what it found of them."""
+    zero = jnp.zeros(())
     begun = file.place(
         jm.Placed(SteadyCurrent(zero, zero, zero)),
         jm.Placed(ThrusterGain(jnp.ones(8))),
         jm.Placed(Payload(zero, zero, zero, zero, zero)),
     )
-    channels = np.full((count, 18), np.nan)
-    seen = jax.tree.map(lambda a: np.asarray(a)[k], flight.seen)
-    channels[:, :3] = seen.position
-    channels[:, 3:6] = np.asarray(jax.vmap(to_euler)(jnp.asarray(seen.attitude)))
-    channels[:, 6:12] = seen.velocity
-    off = [i for i in range(6) if i not in AXES]
-    channels[:, [3, 4, *(6 + i for i in off)]] = np.nan
-    commands = np.asarray(flight.commands[k])
-    log = jm.Log(np.arange(count) * DT, channels, commands, None, file.thruster_names, "dive")
 
     def free(vehicle):
         water, gain, load = (one.effect for one in vehicle.placed)
         return water.north, water.east, gain.factor, load.mass, load.volume
 
     prior = (0.3, 0.3, np.full(8, 0.3), 3.0, 0.003)
-    noise = np.where(NOISE > 0, NOISE, np.nan)
-    noise = np.concatenate([noise, np.full(6, np.nan)])
-    fit = jm.fit(begun, log, free, prior=tuple(map(jnp.asarray, prior)), noise=noise, throw=False)
+    fit = jm.fit(begun, log, free, prior=tuple(map(jnp.asarray, prior)), throw=False)
     found = free(fit.vehicle)
-    numbers = {
+    return fit.vehicle, {
         "current": [float(found[0]), float(found[1])],
         "factor": np.asarray(found[2]).tolist(),
         "heavier_N": float(9.81 * (found[3] - float(file.density) * found[4])),
-        "true_current": np.asarray(case.current).tolist(),
-        "true_factor": np.asarray(case.factor).tolist(),
-        "true_heavier_N": float(9.81 * (case.payload[0] - float(file.density) * case.payload[1])),
     }
-    return fit.vehicle, numbers
+
+
+def diagnosed(file: jm.Vehicle, train: jm.Log, test: jm.Log, kept: Path) -> tuple[jm.Vehicle, dict[str, Any]]:
+    """The vehicle that `jm.diagnose` of two dives extends the file to, and the names; both are kept there."""
+    if not (kept / "found.json").exists():
+        kept.mkdir(parents=True, exist_ok=True)
+        answer = jm.diagnose(file, train, test)
+        jm.save_vehicle(answer.vehicle, kept / "extended.toml")
+        names = {
+            one.label: {name: number.value for name, number in one.parameters.items()}
+            for one in answer.findings
+        }
+        found = {"verdict": answer.verdict, "names": names}
+        (kept / "found.json").write_text(json.dumps(found), encoding="utf-8")
+    return jm.load_vehicle(kept / "extended.toml"), json.loads((kept / "found.json").read_text())
+
+
+def hidden(file: jm.Vehicle, case: Case) -> dict[str, Any]:
+    """What is true of a case, as `told` finds it."""
+    return {
+        "current": np.asarray(case.current).tolist(),
+        "factor": np.asarray(case.factor).tolist(),
+        "heavier_N": float(9.81 * (case.payload[0] - float(file.density) * case.payload[1])),
+    }
 
 
 # --- what is written -----------------------------------------------------------------------------
@@ -405,6 +428,8 @@ REFERENCE, PERCEPTRON, CMAC = (
 )
 AUGMENTED = "AC: PD, file and adaptive layer"
 FILED, OBSERVED = "MPC with the file", "MPC with the file and an observer"
+NAMED, FITTED = "MPC with the diagnosed causes", "MPC with the causes, told and fitted"
+TRUE = "MPC with the true causes"
 # Each controller against the simpler one that it is to be better than: which is less off, dive by dive.
 CLAIMS = (
     (FEEDFORWARD, "PID"),
@@ -423,16 +448,36 @@ CLAIMS = (
 )
 
 
-def claims(controllers: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """`CLAIMS`, decided by pairs of the same dive."""
+NAMED_CLAIMS = (
+    (NAMED, FILED),
+    (NAMED, OBSERVED),
+    (NAMED, FITTED),
+    (OBSERVED, FILED),
+    (TRUE, NAMED),
+)
+
+
+def claims(rows: dict[str, dict[str, Any]], pairs: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:
+    """The claims, decided by pairs of the same dive."""
     return decided(
         {
-            f"{one}: less off than {other}": list(
-                zip(controllers[one]["rms_m"], controllers[other]["rms_m"], strict=True)
-            )
-            for one, other in CLAIMS
+            f"{one}: less off than {other}": list(zip(rows[one]["rms_m"], rows[other]["rms_m"], strict=True))
+            for one, other in pairs
         }
     )
+
+
+def counted(found: list[dict[str, Any]]) -> str:
+    """How many diagnoses name what, beside what is hidden in all of them, and how near they are."""
+    kinds: dict[str, int] = {}
+    for one in found:
+        for kind in dict.fromkeys(label.split(":")[0] for label in one["diagnosed"]["names"]):
+            kinds[kind] = kinds.get(kind, 0) + 1
+    lines = ["| named | diagnoses |", "|---|---|"]
+    lines += [
+        f"| `{kind}` | {kinds[kind]} of {len(found)} |" for kind in sorted(kinds, key=lambda k: -kinds[k])
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def markdown(results: dict[str, Any]) -> str:
@@ -447,12 +492,19 @@ def markdown(results: dict[str, Any]) -> str:
             f"| {name} | {spread(one['rms_m'], 3)} | {' | '.join(thirds)} | {effort:.3f} | {failed} "
             f"| {one['cpu_ms']:.2f} |"
         )
-    if results["named"]:
-        lines += ["", "| predictive control with | way off, rms m | deepest m |", "|---|---|---|"]
-        for name, one in results["named"].items():
-            lines.append(f"| {name} | {spread(one['rms_m'], 3)} | {max(one['deepest_m']):.2f} |")
-    if results.get("claims"):
+    if results["claims"]:
         lines += ["", claim_table(results["claims"]).rstrip()]
+    if results["named"]:
+        lines += [
+            "",
+            "| all three from the beginning | way off, rms m | deepest m | failed |",
+            "|---|---|---|---|",
+        ]
+        for name, one in results["named"].items():
+            failed = f"{sum(one['failed'])} of {len(one['failed'])}"
+            deepest = spread(one["deepest_m"], 2)
+            lines.append(f"| {name} | {spread(one['rms_m'], 3)} | {deepest} | {failed} |")
+        lines += ["", claim_table(results["named_claims"]), counted(results["found"]).rstrip()]
     return "\n".join(lines) + "\n"
 
 
@@ -469,49 +521,58 @@ def main(
         cases = jax.tree.map(lambda *a: jnp.stack(a), *(case for case, _ in both))
         samples = jax.tree.map(lambda *a: jnp.stack(a), *(Samples.of(path, size) for _, path in both))
         pilots: dict[str, Any] = dict(all_of(file))
-        pilots["MPC with the file"] = Predictive(file)
-        pilots["MPC with the file and an observer"] = Predictive(file, 0.1)
+        pilots[FILED] = Predictive(file)
+        pilots[OBSERVED] = Predictive(file, 0.1)
         if quick:
-            pilots = {name: pilots[name] for name in ("PID", "SCL: SONCS", "MPC with the file")}
-        results: dict[str, Any] = {"dive_s": size.dive, "seeds": seeds, "controllers": {}, "named": {}}
+            pilots = {name: pilots[name] for name in ("PID", "SCL: SONCS", FILED)}
+        results: dict[str, Any] = {"dive_s": size.dive, "seeds": seeds, "controllers": {}}
+        results |= {"claims": [], "named": {}}
         for name, pilot in bar.track(pilots.items(), description="controllers"):
             flight, cpu = dive(file, pilot, cases, samples, size)
             one = row(flight) | {"cpu_ms": cpu}
             results["controllers"][name] = one
             write_results(out, results, markdown(results))
         if not quick:
-            results["claims"] = claims(results["controllers"])
-            results |= causes(file, cases, samples, size, seeds)
+            results["claims"] = claims(results["controllers"], CLAIMS)
+            results |= causes(file, cases, samples, size, out / "parts")
             write_results(out, results, markdown(results))
 
 
-def causes(file, cases: Case, samples: Samples, size: Size, seeds: int) -> dict[str, Any]:
-    """With all three from the beginning: causes are fitted to a dive under PID, and the next dive is flown.
+def causes(file: jm.Vehicle, cases: Case, samples: Samples, size: Size, parts: Path) -> dict[str, Any]:
+    """With all three from the beginning: two dives under PID, from which causes are found, then a third one.
 
-    The next dive of a seed has the path of its neighbour.
+    The second and the third dive of a seed have the paths of its neighbours.
     """
-    recorded, _ = dive(file, PID(Axes.of(file)), cases, samples, size, 1.0)
-    fits, numbers = [], []
+    seeds, pilot = len(samples.t), PID(Axes.of(file))
+    first, second, third = (jax.tree.map(lambda a, n=n: jnp.roll(a, n, axis=0), samples) for n in range(3))
+    train, test = (dive(file, pilot, cases, path, size, 1.0)[0] for path in (first, second))
+    fits, extended, found = [], [], []
     for k in range(seeds):
-        case = jax.tree.map(lambda a, k=k: a[k], cases)
-        vehicle, found = named(file, case, recorded, k)
+        log, unseen = (logged(file, flight, k) for flight in (train, test))
+        vehicle, by_fit = told(file, log)
         fits.append(vehicle)
-        numbers.append(found)
-    other = jax.tree.map(lambda a: jnp.roll(a, 1, axis=0), samples)
-    rows: dict[str, Any] = {}
-    extended = jax.tree.map(lambda *a: jnp.stack(a), *fits)
+        vehicle, by_diagnosis = diagnosed(file, log, unseen, parts / str(k))
+        extended.append(vehicle)
+        case = jax.tree.map(lambda a, k=k: a[k], cases)
+        found.append({"true": hidden(file, case), "fitted": by_fit, "diagnosed": by_diagnosis})
+    stacked = jax.tree.map(lambda *a: jnp.stack(a), *fits)
+    every = jnp.ones(())
     runs = {
-        "the file": Predictive(file),
-        "the file and an observer": Predictive(file, 0.1),
-        "the fitted causes": Predictive(extended),
-        "the true causes": Predictive(
-            jax.vmap(lambda c: troubled(file, c, jnp.ones(()), jnp.ones(())))(cases)
-        ),
+        FILED: (Predictive(file), _flown),
+        OBSERVED: (Predictive(file, 0.1), _flown),
+        FITTED: (Predictive(stacked), _each_its_own),
+        TRUE: (Predictive(jax.vmap(lambda case: troubled(file, case, every, every))(cases)), _each_its_own),
     }
-    for name, pilot in runs.items():
-        program = _flown if name.startswith("the file") else _each_its_own
-        rows[name] = row(dive(file, pilot, cases, other, size, 1.0, program)[0])
-    return {"named": rows, "found": numbers}
+    rows = {
+        name: row(dive(file, pilot, cases, third, size, 1.0, by)[0]) for name, (pilot, by) in runs.items()
+    }
+    # Each diagnosis has named causes of its own, which is a program of its own.
+    alone = []
+    for k, vehicle in enumerate(extended):
+        case, path = (jax.tree.map(lambda a, k=k: a[k : k + 1], all_of) for all_of in (cases, third))
+        alone.append(dive(file, Predictive(vehicle), case, path, size, 1.0)[0])
+    rows[NAMED] = row(jax.tree.map(lambda *a: jnp.concatenate(a), *alone))
+    return {"named": rows, "found": found, "named_claims": claims(rows, NAMED_CLAIMS)}
 
 
 if __name__ == "__main__":

@@ -212,7 +212,7 @@ def test_a_stage_that_stays_double_says_so():
 def test_single_precision_is_close_and_not_the_same(tmp_path):
     found = ran("precision", tmp_path)
     off = {stage["stage"]: stage["off"] for stage in found["stages"]}
-    assert len(off) == len(found["tables"]) == 15
+    assert len(off) == len(found["tables"]) == 14
     for table in found["tables"]:
         # Each precision draws its own bootstrap, which is compared with a loop in double over the same draws.
         most = ROUNDED if table["title"].startswith("Bootstrap") else 0.0

@@ -124,7 +124,8 @@ def test_commands_of_a_wrench_give_it_back():
 def test_the_page_says_what_was_found():
     found = json.loads((chapter3.HERE / "results.json").read_text())
     assert len(found["controllers"]["PID"]["failed"]) == found["seeds"] == 20
-    assert chapter3.claims(found["controllers"]) == found["claims"]
+    assert chapter3.claims(found["controllers"], chapter3.CLAIMS) == found["claims"]
+    assert chapter3.claims(found["named"], chapter3.NAMED_CLAIMS) == found["named_claims"]
     assert chapter3.markdown(found) in (ROOT / "experiments" / "README.md").read_text()
 
 
@@ -135,7 +136,8 @@ def test_a_quick_run_holds_its_path(tmp_path):
     ran = CliRunner().invoke(app, ["--out", str(tmp_path), "--quick"], catch_exceptions=False)
     assert ran.exit_code == 0
     rows = json.loads((tmp_path / "results.json").read_text())["controllers"]
-    # 15 s with all that happens: what is taken up sinks the craft by decimetres under PID.
+    # 15 s with all that happens: no farther off than the worst dive of the whole study under PID.
+    worst = max(json.loads((chapter3.HERE / "results.json").read_text())["controllers"]["PID"]["rms_m"])
     for name in "PID", "MPC with the file":
-        assert not any(rows[name]["failed"]) and max(rows[name]["rms_m"]) < 0.5
+        assert not any(rows[name]["failed"]) and max(rows[name]["rms_m"]) < worst
     assert max(rows["MPC with the file"]["deepest_m"]) < chapter3.DEEPEST + 0.1

@@ -162,8 +162,14 @@ def over_length(lengths: Sequence[int], rounds: int) -> Iterator[Point]:
 def over_effects(counts: Sequence[int], seconds: float, rounds: int) -> Iterator[Point]:
     log = logged(seconds)
     vehicle = jm.load_vehicle(jm.packaged_vehicle("tethra"))
+    # Those of actuators that this craft has not got have no numbers.
+    known = [
+        one
+        for one in (cls.neutral(vehicle) for cls in jm.CATALOGUE)
+        if any(map(jnp.size, jax.tree.leaves(one)))
+    ]
     for count in counts:
-        families = [cls.neutral(vehicle) for cls in jm.CATALOGUE[:count]]
+        families = known[:count]
         more = [Drag(jnp.zeros(6), 1.5 + 0.1 * k) for k in range(count - len(families))]
         yield system(count, fitting(log, WINDOW, [*families, *more]), rounds)
 
