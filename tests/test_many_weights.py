@@ -35,4 +35,4 @@ def test_a_quick_study_compares_both(tmp_path):
     study.main(tmp_path, quick=True)
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
     assert [(row["weights"], row["solver"]) for row in rows] == [(20, "gauss_newton"), (20, "gradients")]
-    assert all(row["cpu_s"] > 0 and row["memory_mb"] > 0 for row in rows)
+    assert all(row["cpu_s"] > 0 and row["memory_mb"] > 0 and 0 < row["held"] < 1 for row in rows)
