@@ -298,7 +298,9 @@ def trial(truth: jm.Vehicle, path, size: Size, seed: int) -> list[dict[str, Any]
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Per case and model over seeds: medians per axis, the largest axis' spread, how many ran away."""
     out = []
-    for case, model in dict.fromkeys((row["case"], row["model"]) for row in rows):
+    for case, model in sorted(
+        dict.fromkeys((row["case"], row["model"]) for row in rows), key=lambda one: one[0]
+    ):
         own = [row for row in rows if (row["case"], row["model"]) == (case, model)]
         rms = np.array([row["rms_m"] for row in own], float)
         rms = np.where(np.isfinite(rms), rms, np.inf)
@@ -370,7 +372,7 @@ def main(
             if not kept.exists():
                 kept.write_text(json.dumps(trial(truth, path, size, seed)), encoding="utf-8")
             rows += json.loads(kept.read_text())
-            results = {"summary": summary(rows), "claims": claims(rows), "rows": rows}
+            results = {"summary": summary(rows), "claims": claims(rows)}
             write_results(out, results, table(results))
 
 

@@ -106,7 +106,7 @@ def test_the_page_says_what_was_found():
 
 def test_claims_compare_the_same_seed():
     """Dives that differ tenfold, each a fifth better with the second model: of medians nothing would show."""
-    claims = [claim for claim in study.CLAIMS if claim[0].startswith("thesis")]
+    claims = [claim for claim in study.CLAIMS if claim[0].startswith("thesis") and claim[1] == "III"]
     assert len({claim[2:4] for claim in claims}) == 1
     (case, better, worse) = claims[0][1:4]
     rows = [
@@ -128,7 +128,8 @@ def test_a_quick_run_ends_with_every_case(tmp_path):
     app.command()(study.main)
     ran = CliRunner().invoke(app, ["--out", str(tmp_path), "--quick"], catch_exceptions=False)
     assert ran.exit_code == 0
-    found = json.loads((tmp_path / "results.json").read_text())["rows"]
+    (kept,) = (tmp_path / "parts").iterdir()
+    found = json.loads(kept.read_text())
     rows = {(row["case"], row["model"]): row for row in found}
     ways = list(study.WAYS)
     assert {way for case, way in rows if case == "I"} == set(ways)
