@@ -150,7 +150,10 @@ def test_one_step_goes_on_where_something_is_left_out_of_every_part(good):
 
 @pytest.mark.slow
 def test_parameters_are_as_near_as_without_the_collision(monkeypatch):
-    """Within three standard errors of the truth; a fit that takes the collision along is off by many."""
+    """Within three standard errors of the truth; a fit that takes the collision along is far less sure.
+
+    One window of thirty is missed by ten times the noise, by which all of them are then weighed.
+    """
 
     def found(log):
         result = fit(boat(), log, lambda v: v.damping.linear, entries="diagonal", throw=False)
@@ -162,8 +165,9 @@ def test_parameters_are_as_near_as_without_the_collision(monkeypatch):
     assert (np.abs(value - truth) < 3.0 * std).all() and "collision" in notes[0]
     assert check(boat(), log).notes == notes
     monkeypatch.setattr("jaxmarine.fitting._fit.reviewed", lambda vehicle, logs: (logs, ()))
-    value, std = found(log)[0].T
-    assert (np.abs(value - truth) > 6.0 * std).any()
+    (off, unsure), notes = found(log)[0].T, found(log)[1]
+    assert (unsure > 5.0 * std).all() and "the model misses" in notes[0]
+    assert np.abs(off - truth).sum() > np.abs(value - truth).sum()
 
 
 @pytest.mark.slow
