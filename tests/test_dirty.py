@@ -14,7 +14,7 @@ from jaxmarine.effects import ThrusterGain
 from jaxmarine.fitting import check, cut, fit, noise_of, reviewed
 from jaxmarine.fitting._clock import ClockOffset, clock_offset
 from jaxmarine.fitting._driven import driven
-from jaxmarine.logs import Log, Rejected, smooth_states
+from jaxmarine.logs import Log, smooth_states
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Damping, Placed, Vehicle
 from tests.boats import NOISE, boat, steps
@@ -128,24 +128,6 @@ def test_a_collision_is_named_with_its_time():
     assert again is after and notes == ()
     # a part of the log knows what of it was left out
     assert after.split(60.0)[0].rejected == (one,) and after.split(60.0)[1].rejected == ()
-
-
-def test_one_step_goes_on_where_something_is_left_out_of_every_part(good):
-    """Half a second in each quarter of the log: the estimate is that of all samples, within its error."""
-
-    def found(log):
-        (one, *_) = fit(
-            boat(), log, lambda v: v.damping.linear, entries="diagonal", loss="one_step"
-        ).parameters
-        return one
-
-    accidents = tuple(Rejected("log", begin, begin + 0.5, "collision") for begin in (15.0, 45.0, 80.0, 110.0))
-    channels = good.channels.copy()
-    for one in accidents:
-        channels[(good.t >= one.start) & (good.t <= one.end)] = np.nan
-    spoilt = dataclasses.replace(good, channels=channels, rejected=accidents)
-    before, after = found(good), found(spoilt)
-    assert before.value != after.value == pytest.approx(before.value, abs=before.std_model)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from jaxmarine.effects import (
 )
 from jaxmarine.fitting import Fit, FitError, _trajectory, fit
 from jaxmarine.fitting._free import set_free
-from jaxmarine.logs import Log
+from jaxmarine.logs import Log, Rejected
 from jaxmarine.networks import mlp_damping
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Input, Placed, State, Vehicle
@@ -160,9 +160,16 @@ def test_nothing_but_the_free_axes_of_the_free_leaves_changes():
     assert eqx.tree_equal(restored, found.start)
 
 
-def test_one_step_recovers_without_noise():
+def test_one_step_recovers_without_noise_and_goes_on_past_accidents():
+    """Half a second is left out of every quarter of the log."""
     exact = dict.fromkeys(SENSORS, 1e-7)
     log = record(boat(), steps(), noise=exact)
+    begins = log.t[0] + log.duration * np.array([0.15, 0.4, 0.65, 0.9])
+    accidents = tuple(Rejected(log.name, begin, begin + 0.5, "collision") for begin in begins)
+    channels = np.array(log.channels)
+    for one in accidents:
+        channels[(log.t >= one.start) & (log.t <= one.end)] = np.nan
+    log = dataclasses.replace(log, channels=channels, rejected=accidents)
     found = fit(wrong(boat(), 0.4, 2.5, 0.4), log, everything, entries="nonzero", loss="one_step")
     np.testing.assert_allclose(values(found), planted(boat()), rtol=1e-4)
 
