@@ -70,11 +70,11 @@ class RungeKutta4(diffrax.AbstractSolver):
 _STAGES = np.array([[0.0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1.0, 1 / 6]])
 
 
-def _flat(state: State) -> Float[Array, "numbers *vehicles"]:
+def _flat(state: State) -> Float[Array, " numbers *vehicles"]:
     return jnp.concatenate([state.position, state.attitude, state.velocity, state.memory])
 
 
-def _unflat(y: Float[Array, "numbers *vehicles"]) -> State:
+def _unflat(y: Float[Array, " numbers *vehicles"]) -> State:
     return State(y[:3], y[3:7], y[7:13], y[13:])
 
 

@@ -361,7 +361,7 @@ class Plant(eqx.Module):
     sensors: tuple[SensorEffect, ...]
     free: Float[Array, "6"]
     masses: tuple[AbstractMasses, ...] = ()
-    delay: Float[Array, "kinds"] | None = None
+    delay: Float[Array, " kinds"] | None = None
 
     @property
     def water(self) -> Vector3:

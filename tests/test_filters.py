@@ -1,5 +1,6 @@
 """Kalman filters that isolate faults: against dense Gaussians, and on toys whose answer is known."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 

@@ -53,7 +53,7 @@ def step_with(
     return step
 
 
-def scatter(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarray, "*columns"]:
+def scatter(per_window: Float[np.ndarray, " windows *columns"]) -> Float[np.ndarray, "*columns"]:
     """Variance of a sum over windows, per window, with what neighbours have in common.
 
     A slow disturbance pushes several windows in a row the same way: it does not average out as noise
@@ -69,7 +69,7 @@ def scatter(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarr
     return (own + np.maximum(alike, 0.0)) / max(count - 1, 1)
 
 
-def lasting(per_window: Float[np.ndarray, "windows *columns"]) -> Float[np.ndarray, "*columns"]:
+def lasting(per_window: Float[np.ndarray, " windows *columns"]) -> Float[np.ndarray, "*columns"]:
     """Variance of a sum over windows, per window, if each remembers a share of the one before.
 
     Less biased than `scatter` where a disturbance lasts for some windows, as weights that fall off leave out

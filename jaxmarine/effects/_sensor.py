@@ -262,7 +262,7 @@ class SensorDelay(AbstractEffect):
     shown_by = "quick turns and changes of speed, with all sensors logged"
     advice = "look at the filter and the time stamps of this sensor: what it logs is old"
 
-    delay: Float[Array, "kinds"]
+    delay: Float[Array, " kinds"]
 
     @classmethod
     def neutral(cls, craft: Craft) -> Self:
