@@ -43,6 +43,7 @@ FILE = 0.8  # the damping of the file, as a share of the true one
 NOISE = {"position": 0.02, "attitude": 0.005, "velocity": 0.01, "rate": 0.01}
 WINDOW = 8.0  # [s] several times the lag that is looked for
 TARGET = 0.05  # of the largest thrust
+HERE = Path(__file__).parent / "fouled"
 
 
 def curve(command: Float[np.ndarray, " commands"]) -> Float[np.ndarray, " commands"]:

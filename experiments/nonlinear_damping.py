@@ -43,6 +43,7 @@ from jaxmarine.physics import damping, from_euler, step_lengths, thrust
 from jaxmarine.simulation import hold, inputs, substeps
 from jaxmarine.vehicle import Input, State
 
+HERE = Path(__file__).parent / "damping"
 AXES = ("surge", "sway", "yaw")
 PLACES = np.array([0, 1, 5])
 DT, HORIZON = 0.2, 10.0  # [s]

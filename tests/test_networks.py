@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from experiments import fouled_propeller, nonlinear_damping
+from experiments._study import claim_table
 from jaxmarine import InputError
 from jaxmarine.effects import Motion
 from jaxmarine.networks import Seen, learned_thrust, learned_wrench, mlp_damping
@@ -19,6 +20,8 @@ from jaxmarine.simulation import initial_state
 from jaxmarine.vehicle import Input, Placed, Vehicle, forward_dynamics
 from jaxmarine.vehicle_io import load_vehicle, save_vehicle
 from tests.crafts import packaged, random_commands
+
+from .conftest import ROOT
 
 AXES = ("surge", "sway", "yaw")
 PLACES = np.array([0, 1, 5])
@@ -307,6 +310,17 @@ def test_the_pod_loses_two_thirds_of_its_drag_coefficient_and_always_brakes():
 
 
 # --- the scripts ------------------------------------------------------------------------------
+
+
+def test_the_page_says_what_the_studies_found():
+    page = (ROOT / "experiments" / "README.md").read_text()
+    found = json.loads((fouled_propeller.HERE / "results.json").read_text())
+    assert fouled_propeller.table(found["runs"], fouled_propeller.craft().thruster_names) in page
+    worst = max(run["star"]["learned_rms_grid"] for run in found["runs"])
+    assert len(found["runs"]) == 5 and found["met"] == (worst <= fouled_propeller.TARGET)
+    found = json.loads((nonlinear_damping.HERE / "results.json").read_text())
+    assert len(found["runs"]) == 12 and nonlinear_damping.claims(found["runs"]) == found["claims"]
+    assert nonlinear_damping.tables(found["runs"]) in page and claim_table(found["claims"]) in page
 
 
 @pytest.mark.slow
