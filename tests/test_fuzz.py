@@ -107,7 +107,7 @@ def simulated(capfd, folder: Path, good: Files, name: str, edits: list) -> None:
 FIXTURES = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
-@settings(max_examples=100, suppress_health_check=FIXTURES)
+@settings(max_examples=50, suppress_health_check=FIXTURES)
 @given(name=st.sampled_from(FILES), edits=EDITS)
 def test_a_spoilt_file_is_used_or_refused_in_a_sentence(capfd, tmp_path_factory, good, name, edits):
     simulated(capfd, tmp_path_factory.mktemp("spoilt"), good, name, edits)
