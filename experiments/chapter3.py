@@ -10,8 +10,8 @@ Every seed draws current, thruster, payload, noise and way points; of a seed all
 Model-predictive control sends commands through the simulation's own integration and corrects them by
 Levenberg-Marquardt of optimistix; commands are within the thrusters' limits by construction, the depth by a
 penalty. The last tables give it, after all three have happened, the file, the vehicle that a diagnosis of two
-dives under PID has extended, or that of a fit which is told the three causes. Diagnoses lie in `DIR/parts`:
-a run that was cut goes on there.
+dives under PID has extended, or that of a fit which is told the three causes. Rows and diagnoses are kept in
+`DIR`: a run that was cut goes on there.
 """
 
 import dataclasses
@@ -47,6 +47,7 @@ NOISE = np.repeat([size for _, size in SENSORS], 3) * np.isin(np.arange(12) % 6,
 CURRENT, WEED, PAYLOAD = 0.2, 0.3, (2.0, 0.001)  # [m/s], share of thrust that is left, [kg] and [m³]
 DEEPEST = 4.0  # [m] floor that the payload pulls towards; the path goes down to 3.8 m
 AWAY = 2.0  # [m] from the path: the dive has failed
+DIAGNOSED = 12  # seeds at most whose causes are looked for: some minutes each
 STRETCH = 15.0  # [s] between trainings of those that learn outside of the loop
 MOVES, EACH = 6, 2  # of the predictive controller: so many commands, each held for so many samples
 SOLVES = 6  # steps of Levenberg-Marquardt for each command, from the last plan
@@ -161,6 +162,8 @@ class Predictive(eqx.Module):
         """`wanted`: the reference at the ends of the moves."""
         plan, bias, expected = memory
         plant = self.vehicle.plant()
+        # What the water remembers, where a cause says that it does, nobody measures: it begins at rest.
+        seen = dataclasses.replace(seen, memory=jm.initial_state(self.vehicle).memory)
         if self.observed:
             first = jnp.where(jnp.any(expected != 0), 1.0, 0.0)
             bias = bias + first * self.observed * (self.vehicle.mass_matrix @ (seen.velocity - expected)) / DT
@@ -399,10 +402,11 @@ def diagnosed(file: jm.Vehicle, train: jm.Log, test: jm.Log, kept: Path) -> tupl
     if not (kept / "found.json").exists():
         kept.mkdir(parents=True, exist_ok=True)
         answer = jm.diagnose(file, train, test)
-        jm.save_vehicle(answer.vehicle, kept / "extended.toml")
+        jm.save_vehicle(answer.extended, kept / "extended.toml")
         names = {
             one.label: {name: number.value for name, number in one.parameters.items()}
             for one in answer.findings
+            if one.named
         }
         found = {"verdict": answer.verdict, "names": names}
         (kept / "found.json").write_text(json.dumps(found), encoding="utf-8")
@@ -468,14 +472,12 @@ def claims(rows: dict[str, dict[str, Any]], pairs: tuple[tuple[str, str], ...]) 
 
 
 def counted(found: list[dict[str, Any]]) -> str:
-    """How many diagnoses name what, beside what is hidden in all of them, and how near they are."""
-    kinds: dict[str, int] = {}
-    for one in found:
-        for kind in dict.fromkeys(label.split(":")[0] for label in one["diagnosed"]["names"]):
-            kinds[kind] = kinds.get(kind, 0) + 1
+    """How many diagnoses name what, where current, weed and a weight are hidden in all of them."""
+    kinds = [{label.split(":")[0] for label in one["diagnosed"]["names"]} for one in found]
+    count = {kind: sum(kind in own for own in kinds) for kind in sorted(set().union(*kinds))}
     lines = ["| named | diagnoses |", "|---|---|"]
     lines += [
-        f"| `{kind}` | {kinds[kind]} of {len(found)} |" for kind in sorted(kinds, key=lambda k: -kinds[k])
+        f"| `{kind}` | {count[kind]} of {len(found)} |" for kind in sorted(count, key=lambda k: -count[k])
     ]
     return "\n".join(lines) + "\n"
 
@@ -490,7 +492,7 @@ def markdown(results: dict[str, Any]) -> str:
         failed, effort = f"{sum(one['failed'])} of {len(one['failed'])}", np.median(one["effort"])
         lines.append(
             f"| {name} | {spread(one['rms_m'], 3)} | {' | '.join(thirds)} | {effort:.3f} | {failed} "
-            f"| {one['cpu_ms']:.2f} |"
+            f"| {one['cpu_ms']:.2g} |"
         )
     if results["claims"]:
         lines += ["", claim_table(results["claims"]).rstrip()]
@@ -525,52 +527,56 @@ def main(
         pilots[OBSERVED] = Predictive(file, 0.1)
         if quick:
             pilots = {name: pilots[name] for name in ("PID", "SCL: SONCS", FILED)}
-        results: dict[str, Any] = {"dive_s": size.dive, "seeds": seeds, "controllers": {}}
-        results |= {"claims": [], "named": {}}
+        asked = {"dive_s": size.dive, "seeds": seeds}
+        results: dict[str, Any] = asked | {"controllers": {}, "claims": [], "named": {}}
+        if (out / "results.json").exists():
+            kept = json.loads((out / "results.json").read_text())
+            results = kept if asked.items() <= kept.items() else results
         for name, pilot in bar.track(pilots.items(), description="controllers"):
-            flight, cpu = dive(file, pilot, cases, samples, size)
-            one = row(flight) | {"cpu_ms": cpu}
-            results["controllers"][name] = one
-            write_results(out, results, markdown(results))
+            if name not in results["controllers"]:
+                flight, cpu = dive(file, pilot, cases, samples, size)
+                results["controllers"][name] = row(flight) | {"cpu_ms": cpu}
+                write_results(out, results, markdown(results))
         if not quick:
             results["claims"] = claims(results["controllers"], CLAIMS)
-            results |= causes(file, cases, samples, size, out / "parts")
+            some, paths = jax.tree.map(lambda a: a[:DIAGNOSED], (cases, samples))
+            results |= causes(file, some, paths, size, out / "parts")
             write_results(out, results, markdown(results))
 
 
 def causes(file: jm.Vehicle, cases: Case, samples: Samples, size: Size, parts: Path) -> dict[str, Any]:
     """With all three from the beginning: two dives under PID, from which causes are found, then a third one.
 
-    The second and the third dive of a seed have the paths of its neighbours.
+    The second and the third dive of a seed have the paths of its neighbours, and their noise.
     """
     seeds, pilot = len(samples.t), PID(Axes.of(file))
-    first, second, third = (jax.tree.map(lambda a, n=n: jnp.roll(a, n, axis=0), samples) for n in range(3))
-    train, test = (dive(file, pilot, cases, path, size, 1.0)[0] for path in (first, second))
+
+    def flight_of(n: int, pilot, program=_flown, some=slice(None)) -> Flight:
+        """The n-th dive of some seeds."""
+        path = jax.tree.map(lambda a: jnp.roll(a, n, axis=0)[some], samples)
+        noisy = eqx.tree_at(lambda c: c.errors, cases, jnp.roll(cases.errors, n, axis=0))
+        return dive(file, pilot, jax.tree.map(lambda a: a[some], noisy), path, size, 1.0, program)[0]
+
+    train, test = (flight_of(n, pilot) for n in range(2))
     fits, extended, found = [], [], []
     for k in range(seeds):
         log, unseen = (logged(file, flight, k) for flight in (train, test))
         vehicle, by_fit = told(file, log)
         fits.append(vehicle)
-        vehicle, by_diagnosis = diagnosed(file, log, unseen, parts / str(k))
+        vehicle, by_diagnosis = diagnosed(file, log, unseen, parts / f"{k} of {seeds}")
         extended.append(vehicle)
         case = jax.tree.map(lambda a, k=k: a[k], cases)
         found.append({"true": hidden(file, case), "fitted": by_fit, "diagnosed": by_diagnosis})
-    stacked = jax.tree.map(lambda *a: jnp.stack(a), *fits)
-    every = jnp.ones(())
+    always = jnp.ones(())
     runs = {
         FILED: (Predictive(file), _flown),
         OBSERVED: (Predictive(file, 0.1), _flown),
-        FITTED: (Predictive(stacked), _each_its_own),
-        TRUE: (Predictive(jax.vmap(lambda case: troubled(file, case, every, every))(cases)), _each_its_own),
+        FITTED: (Predictive(jax.tree.map(lambda *a: jnp.stack(a), *fits)), _each_its_own),
+        TRUE: (Predictive(jax.vmap(lambda case: troubled(file, case, always, always))(cases)), _each_its_own),
     }
-    rows = {
-        name: row(dive(file, pilot, cases, third, size, 1.0, by)[0]) for name, (pilot, by) in runs.items()
-    }
+    rows = {name: row(flight_of(2, *run)) for name, run in runs.items()}
     # Each diagnosis has named causes of its own, which is a program of its own.
-    alone = []
-    for k, vehicle in enumerate(extended):
-        case, path = (jax.tree.map(lambda a, k=k: a[k : k + 1], all_of) for all_of in (cases, third))
-        alone.append(dive(file, Predictive(vehicle), case, path, size, 1.0)[0])
+    alone = [flight_of(2, Predictive(one), some=slice(k, k + 1)) for k, one in enumerate(extended)]
     rows[NAMED] = row(jax.tree.map(lambda *a: jnp.concatenate(a), *alone))
     return {"named": rows, "found": found, "named_claims": claims(rows, NAMED_CLAIMS)}
 
