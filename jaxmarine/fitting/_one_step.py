@@ -16,22 +16,23 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from .._types import ACCELERATIONS, MOTION, STATE
+from .._types import ACCELERATIONS, ALL_CHANNELS, MOTION, STATE
 from ..logs import Log, alike, smooth_states
 from ..physics import apply, from_euler
 from ..vehicle import Input, Plant, State
 from ._coverage import acceleration_of
+from ._driven import HALF
 from ._estimate import Estimate, Units
 from ._free import Freed, FreedPlant
 from ._rollout import Problem, fluid_memory, late_of, moves_of, of_segment, start_precision, thrust_of
 from ._trajectory import segments
-from ._windows import SHORTEST, cut
+from ._windows import GAP, SHORTEST, cut
 
 
 class Samples(eqx.Module):
     """The motion at every sample of every log, padded as `Records` are.
 
-    - `weight` [s²/m, s²/rad]: zero on locked axes, in gaps, and in the padding.
+    - `weight` [s²/m, s²/rad]: zero on locked axes, in gaps and accidents, and in the padding.
     - `instant`: whether the accelerations are those at the sample, as sensors give them, or the
       mean slope about it, as differentiated velocities are.
     """
@@ -160,7 +161,8 @@ def _samples(
         seen = np.isfinite(state) & np.tile(moving, 2)
         motion = np.where(seen, state, guess)
         acceleration = acceleration_of(log, track.nu)
-        known = np.isfinite(acceleration) & moving
+        measured = np.isin(ALL_CHANNELS[ACCELERATIONS], log.measured)
+        known = np.isfinite(acceleration) & moving & (measured | _sound(log)[:, None])
         row = np.concatenate([motion, np.where(known, acceleration, 0.0), known], axis=1)
         rows.append(np.pad(row, [(0, steps - len(row)), (0, 0)]))
     table = np.array(rows)
@@ -175,6 +177,15 @@ def _samples(
         weight=jnp.asarray(weight),
         instant=instant,
     )
+
+
+def _sound(log: Log) -> Bool[np.ndarray, " times"]:
+    """Samples that what smooths them makes of neither an accident (`Log.rejected`) nor of a gap."""
+    reach = max(HALF, 3 * log.dt)
+    spans = [(one.start, one.end) for one in log.rejected]
+    spans += [(log.t[k], log.t[k + 1]) for k in np.flatnonzero(np.diff(log.t) > GAP * log.dt)]
+    near = [(begin - reach <= log.t) & (log.t <= end + reach) for begin, end in spans]
+    return ~np.any(near, axis=0) if near else np.ones(len(log.t), bool)
 
 
 def groups_of(logs: Sequence[Log], steps: int, window: float) -> np.ndarray:
