@@ -7,9 +7,8 @@ drag, by a file whose inertia is 30 % too large. Mass, linear and quadratic damp
 velocities with two hidden layers are fitted to one log by trajectories: by Gauss-Newton in all numbers, or by
 gradients in the hidden layers. Measured are processor time and memory of the fit, compilation included, the
 error of predictions over 10 s on a log that was not fitted, and how much of its true velocities a band of
-vehicles drawn from the fit holds. Every fit has a process of its own. What
-Gauss-Newton has no room for is told by the memory of its information alone: windows times weights squared.
-It goes on where it was cut.
+vehicles drawn from the fit holds. Every fit has a process of its own. What Gauss-Newton has no room for is told
+by the memory of its information alone: windows times weights squared. It goes on where it was cut.
 """
 
 import concurrent.futures
@@ -138,7 +137,8 @@ def measured(width: int, solver: Any, size: Size, quick: bool) -> dict[str, Any]
 def held(fit: jm.Fit, run: Course) -> float:
     """Share of the true velocities [u, v, r] that a band about the mean of drawn vehicles holds.
 
-    Their scatter is taken as normal; predictions start in the true state, and from `SINCE` on they count.
+    Their scatter is taken as normal; predictions start in the true state, and from `SINCE` on they count. A
+    drawn vehicle that runs away leaves a band that holds nothing.
     """
     drawn = fit.draw(DRAWS, jax.random.key(1))
     off = np.array([errors(vehicle, run)[1] for vehicle in drawn])[:, :, round(SINCE / DT) :]
@@ -153,7 +153,9 @@ def weights_of(vehicle: jm.Vehicle) -> int:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """A line per fit."""
-    lines = ["| weights | by | CPU s | memory MB | unseen: m after 10 s | a band of 90 % holds |"]
+    lines = [
+        f"| weights | by | CPU s | memory MB | unseen: m after 10 s | a band of {100 * BAND:.0f} % holds |"
+    ]
     lines.append("|---|---|---|---|---|---|")
     for row in rows:
         by = row["solver"].replace("_", "-").replace("gauss-newton", "Gauss-Newton")
