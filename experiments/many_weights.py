@@ -7,8 +7,8 @@ drag, by a file whose inertia is 30 % too large. Mass, linear and quadratic damp
 velocities with two hidden layers are fitted to one log by trajectories: by Gauss-Newton in all numbers, or by
 gradients in the hidden layers. Measured are processor time and memory of the fit, compilation included, the
 error of predictions over 10 s on a log that was not fitted, and how much of its true velocities a band of
-vehicles drawn from the fit holds. Every fit has a process of its own. What Gauss-Newton has no room for is told
-by the memory of its information alone: windows times weights squared. It goes on where it was cut.
+vehicles drawn from the fit holds. Every fit has a process of its own. What Gauss-Newton has no room for is
+told by the memory of its information alone: windows times weights squared. It goes on where it was cut.
 """
 
 import concurrent.futures
