@@ -503,11 +503,11 @@ def table(results: Sequence[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def markdown(results: Sequence[dict]) -> str:
+def markdown(results: Sequence[dict], decisions: list[dict[str, Any]]) -> str:
     """The errors of all models, the claims, and the bars beside what was found."""
     lines = [f"Position error [m], median over {len(results)} seeds (lowest to highest).", "", table(results)]
-    if ALONE in results[0]["error_m"]["test"]:
-        lines += [claim_table(claims(results))]
+    if decisions:
+        lines += [claim_table(decisions)]
     found = bars(results)
     negative = found["seeds_with_negative_damping_at_rest"]
     worst = {key: max(found[f"{key}_rbf_over_printed"]) for key in ("train_10_s", "test_5_s", "test_10_s")}
@@ -648,7 +648,7 @@ def main(
                 results = [t.numbers for t in trials]
                 decisions = [] if quick else claims(results)
                 report = {"quick": quick, "claims": decisions, "bars": bars(results), "seeds": results}
-                write_results(out, report, markdown(results))
+                write_results(out, report, markdown(results, decisions))
         jm.save_vehicle(trials[0].vehicles[RBF], out / "minesniper_rbf.toml")
         figures(out, trials)
 

@@ -35,7 +35,7 @@ from ._weights import scaled
 from ._windows import cut
 
 # Weights in hidden layers, above which gradients train them: with 456 Gauss-Newton takes as long, or two
-# thirds, and half as much memory more (two runs of `experiments/many_weights.py`). Both grow squared.
+# thirds, and half as much memory more (two runs of `experiments/many_weights.py`). Both grow as its square.
 MANY = 450
 # Updates of a training, windows and samples in each, the largest step in widths of the prior, and the slope,
 # in nats per width, below which a weight is not worth such a step: thousands of weights that do not matter
