@@ -541,7 +541,12 @@ def write(parts: list[dict], out: Path) -> None:
         "driven_tables": {c: over_seeds(parts, c, "driven_errors") for c in cases},
         "claims": claims(parts),
         "bars": reached(tables),
-        "network_costs": [{"case": p["case"], "seed": p["seed"], "costs": p["network_costs"]} for p in parts],
+        # Of the same dive, as measured and with other rounding: the largest error on the diagonal of M.
+        "rounding": [
+            [p["errors"][name]["M"]["diagonal"] for name in ("networks", ELSEWHERE)]
+            for p in parts
+            if ELSEWHERE in p["errors"]
+        ],
         "fits": [{"case": p["case"], "seed": p["seed"], "fits": p["fits"]} for p in parts],
         "cpu_s": sum(p["cpu_s"] for p in parts),
     }
