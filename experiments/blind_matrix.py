@@ -55,7 +55,7 @@ CHUNK = 15  # logs for one process: its programs are compiled once for a vehicle
 Row = dict[str, Any]
 
 GROUPS = ("sticks", "feedback")
-HERE = Path(__file__).parent / "blind" / "fed_back"
+HERE = Path(__file__).parent / "blind"  # rows that pages show: `by_sticks`, `fed_back`
 
 # What is to be reached, in the order of the table: text, kind, graded by, share of either group.
 TARGETS = (

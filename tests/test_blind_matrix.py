@@ -5,7 +5,7 @@ import json
 from typing import Any
 
 from experiments._study import program
-from experiments.blind_matrix import GROUPS, HERE, Row, summary, table, table_of
+from experiments.blind_matrix import GROUPS, HERE, Row, detectable, summary, table, table_of
 
 from .conftest import ROOT
 
@@ -106,9 +106,16 @@ def test_logs_under_feedback_stand_beside_those_of_sticks():
     assert "| station, waves | 2.00 |" in text
 
 
-def test_the_page_has_the_numbers_of_the_logs_under_feedback():
-    rows = json.loads((HERE / "results.json").read_text())["rows"]
+def test_the_page_has_the_numbers_of_the_present_code():
     page = (ROOT / "docs" / "trust.md").read_text()
-    assert table_of(summary(rows), GROUPS[1]) in page
-    right = sum(row["whole"] for row in rows)
-    assert f"Of {len(rows)}, those" in page and f"{right} have a wholly right answer" in page
+    for folder, steered, words in (
+        ("by_sticks", GROUPS[0], "{right} of {count} answers are wholly right"),
+        ("fed_back", GROUPS[1], "Of {count}, those that were diagnosed when\nthis was written"),
+    ):
+        rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
+        counted = summary(rows)
+        assert table_of(counted, steered) in page
+        seen = [row for row in rows if detectable(row)]
+        right = sum(row["whole"] for row in seen)
+        assert words.format(right=right, count=len(seen)) in page
+    assert f"{right} have a wholly right answer" in page
