@@ -374,6 +374,11 @@ def logged(file: jm.Vehicle, flight: Flight, k: int) -> jm.Log:
     return jm.Log(np.arange(count) * DT, channels, commands, None, file.thruster_names, f"dive {k}")
 
 
+def heavier(file: jm.Vehicle, mass, volume) -> float:
+    """What a payload of a mass [kg] and a volume [m³] weighs in water [N]."""
+    return float(9.81 * (mass - file.density * volume))
+
+
 def told(file: jm.Vehicle, log: jm.Log) -> tuple[jm.Vehicle, dict[str, Any]]:
     """The vehicle of the three causes, by `jm.fit` to one dive, and what it found of them."""
     zero = jnp.zeros(())
@@ -393,7 +398,7 @@ def told(file: jm.Vehicle, log: jm.Log) -> tuple[jm.Vehicle, dict[str, Any]]:
     return fit.vehicle, {
         "current": [float(found[0]), float(found[1])],
         "factor": np.asarray(found[2]).tolist(),
-        "heavier_N": float(9.81 * (found[3] - float(file.density) * found[4])),
+        "heavier_N": heavier(file, found[3], found[4]),
     }
 
 
@@ -418,7 +423,7 @@ def hidden(file: jm.Vehicle, case: Case) -> dict[str, Any]:
     return {
         "current": np.asarray(case.current).tolist(),
         "factor": np.asarray(case.factor).tolist(),
-        "heavier_N": float(9.81 * (case.payload[0] - float(file.density) * case.payload[1])),
+        "heavier_N": heavier(file, *case.payload),
     }
 
 

@@ -144,10 +144,10 @@ def data_of(vehicle: jm.Vehicle, case: Case, seed: int) -> Data:
 # --- methods -------------------------------------------------------------------------------------
 
 
-def by_networks(data: Data, true, variants: bool, seed: int, epochs: int) -> tuple[dict[str, Estimate], dict]:
-    """The thesis' method, and what becomes of it with other masses; the costs tell failed training."""
+def by_networks(data: Data, true, variants: bool, seed: int, epochs: int) -> dict[str, Estimate]:
+    """The thesis' method, and what becomes of it with other masses."""
     keys = jax.random.split(jax.random.key(seed))
-    nets, cost = train_acceleration(data.nu, data.nu_dot, data.force, keys[0], 5, epochs, 1)
+    nets, _ = train_acceleration(data.nu, data.nu_dot, data.force, keys[0], 5, epochs, 1)
     masses = {
         "networks": mass_of(nets, data.nu, data.force, intercept=False),
         "networks, intercept": mass_of(nets, data.nu, data.force),
@@ -158,15 +158,14 @@ def by_networks(data: Data, true, variants: bool, seed: int, epochs: int) -> tup
             nets, data.nu, data.force, symmetric=True, pattern=PATTERN
         )
         masses["networks, true mass"] = true["M"]
-    out, costs = {}, {"acceleration": np.asarray(cost[0]).tolist()}
+    out = {}
     for name, mass in masses.items():
         targets = damping_targets(jnp.asarray(mass), data.nu, data.nu_dot, data.force)
-        damping, cost = train_damping(data.nu, targets, keys[1], epochs=epochs)
+        damping, _ = train_damping(data.nu, targets, keys[1], epochs=epochs)
         linear, quadratic = damping_matrices(data.nu, jax.vmap(damping)(data.nu))
         known = name.endswith("true mass")
         out[name] = Estimate(None if known else np.asarray(mass), np.asarray(linear), np.asarray(quadratic))
-        costs[name] = np.asarray(cost[0]).tolist()
-    return out, costs
+    return out
 
 
 def by_least_squares(data: Data, true, networks: Estimate) -> dict[str, Estimate]:
@@ -214,12 +213,12 @@ def part(vehicle: jm.Vehicle, case: Case, seed: int, epochs: int) -> dict:
     began = time.process_time()
     true = plant.truth(vehicle)
     data = data_of(vehicle, case, seed)
-    estimates, costs = by_networks(data, true, case.variants, seed, epochs)
+    estimates = by_networks(data, true, case.variants, seed, epochs)
     if case.variants:
         # What another machine would make of the same data, as its rounding is another one.
         rounding = ROUNDING * np.random.default_rng(seed).standard_normal(data.force.shape)
         elsewhere = dataclasses.replace(data, force=data.force * (1 + rounding))
-        estimates[ELSEWHERE] = by_networks(elsewhere, true, False, seed, epochs)[0]["networks"]
+        estimates[ELSEWHERE] = by_networks(elsewhere, true, False, seed, epochs)["networks"]
     estimates |= by_least_squares(data, true, estimates["networks"])
     fitted, how = by_fits(vehicle, data, case)
     estimates |= fitted
@@ -240,7 +239,6 @@ def part(vehicle: jm.Vehicle, case: Case, seed: int, epochs: int) -> dict:
         "matrices": matrices,
         "errors": {name: compared(found, true, ALL) for name, found in matrices.items()},
         "driven_errors": {name: compared(found, true, DRIVEN) for name, found in matrices.items()},
-        "network_costs": costs,
         "fits": how,
         "cpu_s": time.process_time() - began,
     }
