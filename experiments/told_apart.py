@@ -120,10 +120,8 @@ def imitation(bench: Workbench, true: int) -> tuple[jm.Placed, float]:
     model = bench.refine(bench.start())
 
     def refitted(suspect: int) -> Model:
-        tried = [
-            bench.refine(bench.with_member(model, Member(suspect), value), STEPS, ROUGH)
-            for value in starts(bench, suspect)
-        ]
+        begun = [bench.with_member(model, Member(suspect), value) for value in starts(bench, suspect)]
+        tried = [bench.climbed(bench.refine(one, STEPS, ROUGH), STEPS, ROUGH) for one in begun]
         # The model without it where it cannot be fitted.
         sound = [one for one in tried if np.isfinite(one.cost) and bench.sound(one)]
         return min(sound, key=lambda one: one.cost, default=model)

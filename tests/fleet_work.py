@@ -10,7 +10,7 @@ from pathlib import Path
 from jaxmarine._errors import InputError
 from jaxmarine.fleets._job import Job, Outcome
 
-from .conftest import ROOT
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def told(job: Job) -> Outcome:

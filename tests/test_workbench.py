@@ -288,6 +288,19 @@ def test_a_late_command_is_found_over_the_steps_that_accelerometers_show(start, 
     assert (bench.refine(model).cost > 2 * found.cost) == stuck
 
 
+def test_a_command_that_is_late_by_whole_samples_is_found_from_beyond():
+    """At the edge of a step: from the middle of the one below a refinement comes back over it, and stays."""
+    sensors = NOISE | {"acceleration": 0.1}
+    craft = boat(sensors=sensors)
+    late = craft.place(Placed(InputDelay(jnp.array(0.3))))
+    log = record(late, steps(240, hold=4), sensors, seed=4)
+    bench = workbench(craft, (log,), (InputDelay,), None)
+    stuck = bench.likeliest(bench.with_member(bench.start(), Member(0), np.array([0.34])))
+    found = bench.climbed(stuck)
+    assert found.z[-1] == pytest.approx(0.3, abs=1e-3)
+    assert found.cost < 0.5 * stuck.cost
+
+
 def test_a_vehicle_that_runs_away_is_told_so():
     """Damping with the sign of SNAME's derivatives, which pushes: no run of that vehicle stays finite."""
     wrong, log = boat(), record(boat(), steps())

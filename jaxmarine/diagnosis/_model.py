@@ -92,6 +92,8 @@ ESTIMATES, LIKELIER = 4, 0.5
 UNLEARNED = 0.25
 # Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
 STAIRS = 20
+# Of a step: how far beyond its edge the next one is entered, which rounding does not come up to.
+BEYOND = 0.01
 # Times that windows are followed, each time from where the one before lets one expect them to begin.
 PASSES = 3
 # Times that the disturbance of logs is looked at which a model is scored on: as it was, and estimated twice.
@@ -556,9 +558,15 @@ class Workbench:
             for name in suspect.effect.stairs
             if not last or member is model.members[-1]
         ]
-        for place, step in itertools.product(stairs, (dt, -dt)):
+        own = self.vehicle.thrusters.delay
+        filed = float(np.median(own)) if len(own) else 0.0
+        # What is least on a step often lies at its edge: one enters the next where it begins, not in its
+        # middle, from where a refinement may come back over the edge.
+        for place, up in itertools.product(stairs, (True, False)):
             for _ in range(STAIRS):
-                moved = np.where(np.arange(len(model.z)) == place, model.z + step, model.z)
+                step = np.ceil((filed + model.z[place]) / dt - 1e-9)
+                edge = (step + BEYOND if up else step - 1.0 - BEYOND) * dt - filed
+                moved = np.where(np.arange(len(model.z)) == place, edge, model.z)
                 other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
                 if not (other.cost < model.cost - LIKELIER and self.sound(other)):
                     break

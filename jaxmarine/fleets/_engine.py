@@ -169,10 +169,12 @@ def _within(work: Work, job: Job, limit: float) -> Outcome:
     worker = _distributed().get_worker()
 
     def end() -> None:
-        worker.log_event(_LATE, job.name)
-        time.sleep(_TOLD)
-        # Compiled programs listen to nothing else.
-        os._exit(1)
+        try:
+            worker.log_event(_LATE, job.name)
+            time.sleep(_TOLD)
+        finally:
+            # Whether or not the scheduler still hears of it. Compiled programs listen to nothing else.
+            os._exit(1)
 
     watch = threading.Timer(limit, end)
     watch.daemon = True
