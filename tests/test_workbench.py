@@ -12,6 +12,7 @@ import pytest
 from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
 from jaxmarine._progress import silent
+from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import Criteria, Gain, _answer, _model, diagnose
 from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
@@ -28,6 +29,7 @@ from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import (
     CATALOGUE,
     AddedMass,
+    CoupledDamping,
     FluidMemory,
     InputDelay,
     LinearDamping,
@@ -299,6 +301,25 @@ def test_a_command_that_is_late_by_whole_samples_is_found_from_beyond():
     found = bench.climbed(stuck)
     assert found.z[-1] == pytest.approx(0.3, abs=1e-3)
     assert found.cost < 0.5 * stuck.cost
+
+
+@pytest.mark.parametrize("target", ["surge<-sway", "yaw<-surge"])
+def test_a_coupling_that_drives_the_craft_is_no_damping(target):
+    """By the eigenvalues of D + D', at speeds that are as large on the average as those of the log."""
+    craft, log = boat(), record(boat(), steps())
+    bench = workbench(craft, (log,), (CoupledDamping, LinearDamping, QuadraticDamping), None)
+    which = [s.label for s in bench.layout.suspects].index(f"coupled_damping:{target}")
+    pushed, moving = (DOFS.index(one) for one in target.split("<-"))
+    speed = np.sqrt((np.asarray(log.channels)[:, 6:12] ** 2).mean(axis=0))
+    own = np.asarray(craft.damping.linear) + np.asarray(craft.damping.quadratic) * speed
+    least = 2 * np.sqrt(own[pushed, pushed] * own[moving, moving])
+    # The file's damping may be a tenth larger, which the priors of both axes and both laws allow.
+    for share, brakes in ((-1.3, False), (-0.9, True), (0.9, True), (1.3, False)):
+        damping = own.copy()
+        damping[pushed, moving] = share * least
+        assert (np.linalg.eigvalsh(damping + damping.T)[0] >= 0) == brakes
+        model = bench.with_member(bench.start(), Member(which), np.array([share * least]))
+        assert bench.brakes(model) == brakes
 
 
 def test_a_vehicle_that_runs_away_is_told_so():

@@ -61,7 +61,7 @@ from ..fitting import (
 from ..logs import Log
 from ..vehicle import Plant, Vehicle
 from ._criteria import DEFAULT, Criteria
-from ._filed import base_coefficients
+from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import Reduced
@@ -849,6 +849,9 @@ class Workbench:
     def brakes(self, model: Model) -> bool:
         """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
 
+        And whatever two axes do together: of a linear coupling both terms come to at most twice the geometric
+        mean of what brakes the two, as D + D' is positive (after Fossen 2021, on damping).
+
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
         A prior that the file states itself, which may be wide, allows no more than that of a usual file.
         """
@@ -856,6 +859,7 @@ class Workbench:
         # Of the model as a whole: what a member makes of a coefficient stands in its place.
         theta = self.theta(model)[: len(self.stretches(model.members).passed)]
         braking = np.zeros((len(theta), 6))
+        coupled = np.tile(np.asarray(self.vehicle.damping.linear), (len(theta), 1, 1))
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
                 axis, by_speed = c.place[0], c.kind == "damping.quadratic"
@@ -866,7 +870,11 @@ class Workbench:
             if suspect.effect.brakes_by:
                 gain = columns[:, list(suspect.slots).index(suspect.effect.brakes_by)]
                 braking[:, DOFS.index(str(suspect.target))] += theta @ gain
-        return bool((braking >= 0).all())
+            if suspect.effect.filed == "damping.linear":
+                coupled[:, *matrix_place(suspect)] += theta @ columns[:, 0]
+        both = (coupled + coupled.swapaxes(1, 2)) * (1.0 - np.eye(6))
+        bound = 4 * braking[:, :, None] * braking[:, None, :]
+        return bool((braking >= 0).all() and (both**2 <= bound).all())
 
     def stands(self, model: Model, beside: Model) -> bool:
         """Whether a refit may stand: it ended, its numbers mean something, and its damping brakes.
