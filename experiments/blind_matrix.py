@@ -317,8 +317,15 @@ def table(s: Row) -> str:
             f"- Of {weak['of']} effects that raise the error by less than {100 * (DETECTABLE - 1):.0f} % "
             f"(median {100 * weak['raised_median']:.0f} %), {weak['right']} are named."
         )
-    lines += ["", "| not right | vehicle | steered by | severity | hidden | found | depends on |"]
-    lines += ["|---|---|---|---|---|---|---|"]
+    return "\n".join(lines) + "\n\n" + missed_table(s)
+
+
+def missed_table(s: Row) -> str:
+    """The logs that can be seen and are not answered wholly right, as Markdown."""
+    lines = [
+        "| not right | vehicle | steered by | severity | hidden | found | depends on |",
+        "|---" * 7 + "|",
+    ]
     for r in s["missed"]:
         hidden = [h if isinstance(h, str) else ":".join(filter(None, h)) for h in r["hidden"] or ["nothing"]]
         found = [":".join(filter(None, f[:2])) for f in r["found"]] or [r["verdict"]]

@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 from experiments import chapter3
 from experiments.thesis import controllers
 from experiments.thesis.controllers import AXES, DT, Axes, Seen
+from jaxmarine.examples import hidden
 
+from .boats import boat
 from .conftest import ROOT
 
 FILE = chapter3.craft()
@@ -141,3 +143,21 @@ def test_a_quick_run_holds_its_path(tmp_path):
     assert not any(ahead["failed"]) and not any(pid["failed"])
     assert (np.array(ahead["rms_m"]) < pid["rms_m"]).all()
     assert max(rows["MPC with the file"]["deepest_m"]) < chapter3.DEEPEST + 0.1
+
+
+@pytest.mark.slow
+def test_a_vehicle_has_the_causes_that_were_named_and_is_diagnosed_once(tmp_path, monkeypatch):
+    train, test = hidden(boat(), "thruster_gain", "port", {"factor": 0.7}, (40.0, 30.0))
+    vehicle, found = chapter3.diagnosed(boat(), train, test, tmp_path / "kept")
+    assert found["verdict"] == "explained" and list(found["names"]) == ["thruster_gain:port"]
+    factor = found["names"]["thruster_gain:port"]["factor"]
+    assert factor == pytest.approx(0.7, abs=0.02)
+    (placed,) = vehicle.placed
+    np.testing.assert_allclose(placed.effect.parameters()["factor"], [factor, 1.0, 1.0])
+
+    def again(*_):
+        raise AssertionError("diagnosed once more")
+
+    monkeypatch.setattr(chapter3.jm, "diagnose", again)
+    kept, words = chapter3.diagnosed(boat(), train, test, tmp_path / "kept")
+    assert words == found and kept.placed[0].effect.parameters()["factor"][0] == factor
