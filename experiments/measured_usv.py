@@ -408,7 +408,8 @@ def diagnosed(vehicle: jm.Vehicle, run: jm.Log) -> dict:
     """What the diagnosis says of one run, trained and tested on it."""
     began = time.perf_counter()
     answer = jm.diagnose(vehicle, run, run).to_json()
-    return answer | {"run": run.name, "seconds": round(time.perf_counter() - began, 1)}
+    said = {key: answer[key] for key in ("verdict", "findings", "notes")}
+    return said | {"run": run.name, "seconds": round(time.perf_counter() - began, 1)}
 
 
 # --- what is written -----------------------------------------------------------------------------

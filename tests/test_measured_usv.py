@@ -101,3 +101,45 @@ def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, t
     np.testing.assert_allclose(usv.rms(usv.errors(boat, runs)), fitted, rtol=1e-6)
     assert np.linalg.eigvalsh(boat.mass_matrix[np.ix_(usv.AXES, usv.AXES)]).min() > 0
     assert (tmp_path / "test.png").stat().st_size > 10_000
+
+
+def test_the_page_says_what_was_found():
+    found = json.loads((usv.HERE / "results.json").read_text())
+    page = (usv.HERE / "README.md").read_text()
+    left_out = found["cross_validation_rms"]
+    rows = {
+        "fitted | `test/`": found["scored_rms"]["fitted"],
+        "the same from `vtec_s3.toml` | `test/`": found["scored_rms"]["vtec_s3.toml"],
+        "fitted | `train/`, each run left out": left_out[found["candidate"]],
+        "the same with linear and quadratic surge drag | `train/`, each run left out": left_out[
+            "linear and quadratic surge drag"
+        ],
+        "terms of the vehicle file only | `train/`, each run left out": left_out[
+            "terms of the vehicle file only"
+        ],
+        "fitted | `train/`, as fitted": found["train_rms"]["fitted"],
+        "the team's model from `vtec_s3.toml` | `train/`": found["train_rms"]["vtec_s3.toml"],
+    }
+    for words, errors in rows.items():
+        assert f"| {words} | " + " | ".join(f"{x:.3f}" for x in errors) + " |" in page
+    lines = " ".join(page.split())
+    for errors in (
+        left_out["no advance loss"],
+        left_out["no turn lift"],
+        found["scored_rms"]["fitted, whole runs"],
+    ):
+        assert "{:.3f}, {:.3f} and {:.3f}".format(*errors) in lines
+    drag = [np.exp(found["parameters"][f"surge_drag.log_{k}"][1]) for k in range(6)]
+    assert ", ".join(f"{d:.1f}" for d in drag[:5]) + f" and {drag[5]:.1f} N s/m" in lines
+    for answer in found["diagnoses"]:
+        if answer["findings"]:
+            assert f"| {answer['verdict']} | {usv.named(answer)} |" in page
+        else:
+            assert answer["verdict"] == "nothing_found"
+    # Of the three defective runs the cause that is known comes first.
+    first = [a["findings"][0] for a in found["diagnoses"] if a["findings"]]
+    assert [(f["effect"], f["target"]) for f in first] == [
+        ("velocity_in_earth_axes", None),
+        ("thruster_gain", "all"),
+        ("thruster_gain", "all"),
+    ]
