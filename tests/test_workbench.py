@@ -31,6 +31,7 @@ from jaxmarine.effects import (
     AddedMass,
     CoupledDamping,
     FluidMemory,
+    HullLift,
     InputDelay,
     LinearDamping,
     QuadraticDamping,
@@ -320,6 +321,23 @@ def test_a_coupling_that_drives_the_craft_is_no_damping(target):
         assert (np.linalg.eigvalsh(damping + damping.T)[0] >= 0) == brakes
         model = bench.with_member(bench.start(), Member(which), np.array([share * least]))
         assert bench.brakes(model) == brakes
+
+
+@pytest.mark.parametrize("lift", [0.0, 300.0])
+def test_a_lift_of_the_file_brakes_as_damping_does(lift):
+    """A boat whose sway is braked by the lift of its hull alone, Y = -Y_uv |u| v."""
+    own = boat()
+    linear, quadratic = (own.damping.linear.at[1, 1].set(0.0), own.damping.quadratic.at[1, 1].set(0.0))
+    hull = Placed(HullLift(*(jnp.asarray(one) for one in (lift, 0.0, 0.0, 0.0))))
+    craft = dataclasses.replace(own, damping=Damping(linear, quadratic)).place(hull)
+    log = record(craft, steps())
+    bench = workbench(craft, (log,), (CoupledDamping, LinearDamping, QuadraticDamping), None)
+    which = [s.label for s in bench.layout.suspects].index("coupled_damping:surge<-sway")
+    u = np.sqrt((np.asarray(log.channels)[:, 6] ** 2).mean())
+    surge = float(own.damping.linear[0, 0] + own.damping.quadratic[0, 0] * u)
+    coupling = 2 * np.sqrt(surge * 300.0 * u)
+    model = bench.with_member(bench.start(), Member(which), np.array([0.9 * coupling]))
+    assert bench.brakes(model) == (lift > 0.0)
 
 
 def test_a_vehicle_that_runs_away_is_told_so():

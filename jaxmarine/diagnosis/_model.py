@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import AXES, DOFS, POSES
-from ..effects import AbstractEffect, WaterEffect
+from ..effects import AbstractEffect, FluidMemory, Motion, WaterEffect
 from ..fitting import (
     LEAST_DAMPING,
     USUAL_MEMORY,
@@ -846,6 +846,29 @@ class Workbench:
                 return False
         return True
 
+    @functools.cached_property
+    def _speed(self) -> Float[np.ndarray, "6"]:
+        """Root mean square velocity of the windows' starts [m/s, rad/s]."""
+        return np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
+
+    @functools.cached_property
+    def _braking_beside(self) -> Float[np.ndarray, "6"]:
+        """What each axis is braked by beside the file's damping, by its gear and effects [N s/m, N m s].
+
+        The slope of their wrench about going ahead as fast as the logs do, gear at rest, memories left out.
+        """
+        plant = self.vehicle.plant()
+        still = jnp.zeros(plant.drive.lag.shape[-1])
+        lasting = [effect for effect in plant.wrenches if not isinstance(effect, FluidMemory)]
+
+        def wrench(nu: Array) -> Array:
+            motion = Motion(jnp.zeros(3), jnp.eye(3), nu, nu, jnp.zeros(0), jnp.zeros(()), still)
+            return sum((effect(motion) for effect in lasting), start=plant.pushed(still, nu))
+
+        ahead, step = np.eye(6)[0] * self._speed, np.maximum(self._speed, 1e-3)
+        faster, slower = (jax.vmap(wrench)(jnp.asarray(ahead + sign * np.diag(step))) for sign in (1, -1))
+        return -np.diagonal(faster - slower) / (2 * step)
+
     def brakes(self, model: Model) -> bool:
         """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
 
@@ -855,10 +878,10 @@ class Workbench:
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
         A prior that the file states itself, which may be wide, allows no more than that of a usual file.
         """
-        speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
+        speed = self._speed
         # Of the model as a whole: what a member makes of a coefficient stands in its place.
         theta = self.theta(model)[: len(self.stretches(model.members).passed)]
-        braking = np.zeros((len(theta), 6))
+        braking = np.tile(self._braking_beside, (len(theta), 1))
         coupled = np.tile(np.asarray(self.vehicle.damping.linear), (len(theta), 1, 1))
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
