@@ -32,6 +32,7 @@ from jaxmarine.effects import (
     CoupledDamping,
     FluidMemory,
     HullLift,
+    InflowLoss,
     InputDelay,
     LinearDamping,
     QuadraticDamping,
@@ -321,6 +322,16 @@ def test_a_coupling_that_drives_the_craft_is_no_damping(target):
         assert (np.linalg.eigvalsh(damping + damping.T)[0] >= 0) == brakes
         model = bench.with_member(bench.start(), Member(which), np.array([share * least]))
         assert bench.brakes(model) == brakes
+
+
+@pytest.mark.parametrize(("share", "sound"), [(0.8, True), (1.2, False)])
+def test_a_loss_of_thrust_that_turns_it_round_is_none(share, sound):
+    """At the speeds of the log along the thrusters, of which those ahead are the fastest."""
+    craft, log = boat(), record(boat(), steps())
+    bench = workbench(craft, (log,), (InflowLoss,), None)
+    fastest = np.sqrt((np.asarray(log.channels)[:, 6:8] ** 2).mean(axis=0)).max()
+    model = bench.with_member(bench.start(), Member(0), np.array([share / fastest]))
+    assert bench.sound(model) == sound
 
 
 @pytest.mark.parametrize("lift", [0.0, 300.0])

@@ -819,9 +819,9 @@ class Workbench:
     def sound(self, model: Model) -> bool:
         """Whether all numbers mean something.
 
-        In their effects' ranges, no negative delays, lags and dead zones, a positive definite mass, at most
-        half of the vehicle's own mass more or less, and on each axis, added mass included, a fifth to five
-        times the inertia of the file.
+        In their effects' ranges, no negative delays, lags and dead zones, no thrust that the flow turns round
+        at the logs' speeds, a positive definite mass, at most half of the vehicle's own mass more or less,
+        and on each axis, added mass included, a fifth to five times the inertia of the file.
         """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
             plausible = self.layout.suspects[member.suspect].effect.plausible
@@ -831,7 +831,8 @@ class Workbench:
                     return False
         own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
-        bodies = _bodies(self.problem(model.members).plant_of, jnp.asarray(self.theta(model)))
+        plant_of, theta = self.problem(model.members).plant_of, jnp.asarray(self.theta(model))
+        bodies = _bodies(plant_of, theta, jnp.asarray(self._along))
         for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
             mass = rigid + added
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
@@ -845,6 +846,12 @@ class Workbench:
             if least < -1e-9:
                 return False
         return True
+
+    @functools.cached_property
+    def _along(self) -> Float[np.ndarray, " thrusters"]:
+        """Root mean square velocity along each thruster [m/s]."""
+        velocity = np.asarray(self.data.windows.velocity)[:, :3]
+        return np.sqrt(((velocity @ np.asarray(self.vehicle.thrusters.direction).T) ** 2).mean(axis=0))
 
     @functools.cached_property
     def _speed(self) -> Float[np.ndarray, "6"]:
@@ -1112,13 +1119,21 @@ def _water(plant_of: Callable[..., Plant], theta: Float[Array, " slots"], segmen
 
 
 @compiled
-def _bodies(plant_of: Callable[..., Plant], theta: Float[Array, "segments slots"]):
-    """Rigid and added mass in each segment, and the least of the thrusters' limits and zero."""
+def _bodies(
+    plant_of: Callable[..., Plant],
+    theta: Float[Array, "segments slots"],
+    along: Float[Array, " thrusters"],
+):
+    """Rigid and added mass in each segment, and the least of the thrusters' limits and zero.
+
+    - `along`: speed [m/s] along each thruster, at which the flow must leave some of its thrust.
+    """
 
     def one(theta, segment):
         plant = plant_of(theta, segment)
         drive = plant.drive
-        limits = jnp.stack([drive.delay, drive.deadband, drive.lag, drive.saturation])
+        left = 1.0 - drive.inflow[: len(along)] * along
+        limits = jnp.concatenate([drive.delay, drive.deadband, drive.lag, drive.saturation, left])
         return plant.load.rigid, plant.load.added, jnp.min(limits, initial=0.0)
 
     return jax.vmap(one)(theta, jnp.arange(len(theta)))

@@ -350,7 +350,7 @@ class InflowLoss(DriveEffect):
     name = "inflow_loss"
     titled = "thrust lost to the inflow"
     units = {"per_speed": "s/m"}
-    plausible = {"per_speed": (0.0, 20.0)}  # a small screw that turns slowly has no thrust left at 5 cm/s
+    plausible = {"per_speed": (0.0, math.inf)}
     confused_with = ("tether_drag", "quadratic_damping", "thruster_gain:all")
     shown_by = "the same command at different speeds, also against the motion"
     advice = "use the propeller's open-water curve: thrust is lost to the inflow"
