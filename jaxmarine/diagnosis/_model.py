@@ -832,7 +832,7 @@ class Workbench:
         own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
         plant_of, theta = self.problem(model.members).plant_of, jnp.asarray(self.theta(model))
-        bodies = _bodies(plant_of, theta, jnp.asarray(self._along))
+        bodies = _bodies(plant_of, theta, jnp.asarray(self._flow))
         for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
             mass = rigid + added
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
@@ -848,7 +848,7 @@ class Workbench:
         return True
 
     @functools.cached_property
-    def _along(self) -> Float[np.ndarray, " thrusters"]:
+    def _flow(self) -> Float[np.ndarray, " thrusters"]:
         """Root mean square velocity along each thruster [m/s]."""
         velocity = np.asarray(self.data.windows.velocity)[:, :3]
         return np.sqrt(((velocity @ np.asarray(self.vehicle.thrusters.direction).T) ** 2).mean(axis=0))
