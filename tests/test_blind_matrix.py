@@ -5,7 +5,7 @@ import json
 from typing import Any
 
 from experiments._study import program
-from experiments.blind_matrix import GROUPS, HERE, Row, detectable, summary, table, table_of
+from experiments.blind_matrix import GROUPS, HERE, Row, detectable, missed_table, summary, table, table_of
 
 from .conftest import ROOT
 
@@ -119,3 +119,12 @@ def test_the_page_has_the_numbers_of_the_present_code():
         right = sum(row["whole"] for row in seen)
         assert words.format(right=right, count=len(seen)) in page
     assert f"{right} have a wholly right answer" in page
+
+
+def test_the_page_has_what_was_missed():
+    rows = [
+        row
+        for folder in ("by_sticks", "fed_back")
+        for row in json.loads((HERE / folder / "results.json").read_text())["rows"]
+    ]
+    assert missed_table(summary(rows)) in (ROOT / "experiments" / "README.md").read_text()
