@@ -589,7 +589,7 @@ CLAIMS: tuple[tuple[str, str, str, float], ...] = (
         1.0,
     ),
     (
-        "6.3: with it networks find D_l better than two-stage LS",
+        "ours: with it networks find D_l better than two-stage LS",
         "D_l mean %, coloured: networks",
         "D_l mean %, coloured: two-stage LS",
         1.0,

@@ -309,7 +309,7 @@ class ReverseThrust(DriveEffect):
 class ThrusterLag(DriveEffect, ActuatorEffect):
     """Thrust follows its goal with a first-order lag, `time_constant` T' = T_goal - T. Neutral: 0.
 
-    Source: Yoerger, Cooke and Slotine (1990); after Fossen (2021).
+    Source: after Yoerger, Cooke and Slotine (1990) and Fossen (2021).
     """
 
     name = "thruster_lag"
