@@ -140,7 +140,7 @@ def test_damping_brakes_until_it_pushes_by_more_than_a_file_is_commonly_wrong(li
     for share, brakes in ((0.99, True), (1.01, False)):
         model = bench.start()
         model.z[which] = -share * most
-        assert bench.brakes(model) == brakes
+        assert bench.brakes(model).all() == brakes
 
 
 def test_a_memory_that_pushes_brakes_no_more_than_damping_that_does():
@@ -154,7 +154,7 @@ def test_a_memory_that_pushes_brakes_no_more_than_damping_that_does():
     memory = bench.layout.place_of(Placed(FluidMemory.neutral(boat()), "surge"))
     for share, brakes in ((0.99, True), (1.01, False)):
         model = bench.with_member(bench.start(), Member(memory), np.array([-share * most, 0.0]))
-        assert bench.brakes(model) == brakes
+        assert bench.brakes(model).all() == brakes
 
 
 def test_a_suspect_takes_over_how_far_its_coefficient_has_bent():
@@ -321,7 +321,36 @@ def test_a_coupling_that_drives_the_craft_is_no_damping(target):
         damping[pushed, moving] = share * least
         assert (np.linalg.eigvalsh(damping + damping.T)[0] >= 0) == brakes
         model = bench.with_member(bench.start(), Member(which), np.array([share * least]))
-        assert bench.brakes(model) == brakes
+        assert bench.brakes(model).all() == brakes
+
+
+def test_a_pair_of_couplings_that_takes_no_energy_is_none_that_drives():
+    """As the Coriolis forces of a turn: of any size, where both terms are of opposite signs."""
+    bench = workbench(boat(), (record(boat(), steps()),), (CoupledDamping,), None)
+    labels = [s.label for s in bench.layout.suspects]
+    first, second = (labels.index(f"coupled_damping:{one}") for one in ("surge<-sway", "sway<-surge"))
+    alone = bench.with_member(bench.start(), Member(first), np.array([1000.0]))
+    both = bench.with_member(alone, Member(second), np.array([-1000.0]))
+    assert not bench.brakes(alone).all() and bench.brakes(both).all()
+
+
+def test_a_coupling_of_the_file_that_drives_leaves_other_axes_judged():
+    own = boat()
+    # Roll is locked: nothing couples to it.
+    linear = own.damping.linear.at[0, 1].set(1000.0).at[3, 1].set(1e6)
+    craft = dataclasses.replace(own, damping=Damping(linear, own.damping.quadratic))
+    bench = workbench(craft, (record(own, steps()),), (LinearDamping, CoupledDamping), None)
+    labels = [s.label for s in bench.layout.suspects]
+
+    def refitted(label: str, value: float) -> Model:
+        model = bench.with_member(bench.start(), Member(labels.index(label)), np.array([value]))
+        return dataclasses.replace(model, cost=0.0)
+
+    start = bench.start()
+    assert np.argwhere(~bench.brakes(start)).tolist() == [[0, 1], [1, 0]]
+    assert bench.stands(refitted("linear_damping:yaw", 5.0), start)
+    assert not bench.stands(refitted("linear_damping:yaw", -50.0), start)
+    assert not bench.stands(refitted("coupled_damping:yaw<-surge", 1000.0), start)
 
 
 @pytest.mark.parametrize(("share", "sound"), [(0.8, True), (1.2, False)])
@@ -348,7 +377,7 @@ def test_a_lift_of_the_file_brakes_as_damping_does(lift):
     surge = float(own.damping.linear[0, 0] + own.damping.quadratic[0, 0] * u)
     coupling = 2 * np.sqrt(surge * 300.0 * u)
     model = bench.with_member(bench.start(), Member(which), np.array([0.9 * coupling]))
-    assert bench.brakes(model) == (lift > 0.0)
+    assert bench.brakes(model).all() == (lift > 0.0)
 
 
 def test_a_vehicle_that_runs_away_is_told_so():

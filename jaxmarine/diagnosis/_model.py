@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import AXES, DOFS, POSES
-from ..effects import AbstractEffect, FluidMemory, Motion, WaterEffect
+from ..effects import AbstractEffect, CoupledDamping, InflowLoss, Motion, WaterEffect
 from ..fitting import (
     LEAST_DAMPING,
     USUAL_MEMORY,
@@ -59,6 +59,7 @@ from ..fitting import (
     wrapped,
 )
 from ..logs import Log
+from ..physics import damping
 from ..vehicle import Plant, Vehicle
 from ._criteria import DEFAULT, Criteria
 from ._filed import base_coefficients, matrix_place
@@ -92,8 +93,9 @@ ESTIMATES, LIKELIER = 4, 0.5
 UNLEARNED = 0.25
 # Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
 STAIRS = 20
-# Of a step: how far beyond its edge the next one is entered, which rounding does not come up to.
+# Of a step: how far beyond its edge the next one is entered, and what rounding makes of an edge.
 BEYOND = 0.01
+ROUNDED = 1e-9
 # Times that windows are followed, each time from where the one before lets one expect them to begin.
 PASSES = 3
 # Times that the disturbance of logs is looked at which a model is scored on: as it was, and estimated twice.
@@ -558,19 +560,24 @@ class Workbench:
             for name in suspect.effect.stairs
             if not last or member is model.members[-1]
         ]
-        own = self.vehicle.thrusters.delay
-        filed = float(np.median(own)) if len(own) else 0.0
-        # What is least on a step often lies at its edge: one enters the next where it begins, not in its
-        # middle, from where a refinement may come back over the edge.
-        for place, up in itertools.product(stairs, (True, False)):
+        own = np.unique(self.vehicle.thrusters.delay)
+        filed = float(own[0]) if len(own) == 1 else 0.0
+        # What is least on a step often lies at its edge: one enters the next where it begins, as from its
+        # middle a refinement may come back over the edge. A whole sample leads on where stamps are uneven.
+        for place, up in itertools.product(stairs, (1, -1)):
             for _ in range(STAIRS):
-                step = np.ceil((filed + model.z[place]) / dt - 1e-9)
-                edge = (step + BEYOND if up else step - 1.0 - BEYOND) * dt - filed
-                moved = np.where(np.arange(len(model.z)) == place, edge, model.z)
-                other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
-                if not (other.cost < model.cost - LIKELIER and self.sound(other)):
+                step = np.ceil((filed + model.z[place]) / dt - ROUNDED)
+                edge = (step + BEYOND if up > 0 else step - 1.0 - BEYOND) * dt - filed
+                better = None
+                for goal in (edge, model.z[place] + up * dt):
+                    moved = np.where(np.arange(len(model.z)) == place, goal, model.z)
+                    other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
+                    if other.cost < model.cost - LIKELIER and self.sound(other):
+                        better = other
+                        break
+                if better is None:
                     break
-                model = other
+                model = better
         return model
 
     def undisturbed(self, model: Model) -> Model:
@@ -832,7 +839,7 @@ class Workbench:
         own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
         plant_of, theta = self.problem(model.members).plant_of, jnp.asarray(self.theta(model))
-        bodies = _bodies(plant_of, theta, jnp.asarray(self._flow))
+        bodies = _bodies(plant_of, theta, jnp.asarray(self._flow(model)))
         for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
             mass = rigid + added
             if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
@@ -847,74 +854,62 @@ class Workbench:
                 return False
         return True
 
-    @functools.cached_property
-    def _flow(self) -> Float[np.ndarray, " thrusters"]:
-        """Root mean square velocity along each thruster [m/s]."""
-        velocity = np.asarray(self.data.windows.velocity)[:, :3]
-        return np.sqrt(((velocity @ np.asarray(self.vehicle.thrusters.direction).T) ** 2).mean(axis=0))
+    def _flow(self, model: Model) -> Float[np.ndarray, " thrusters"]:
+        """Root mean square velocity along each thruster [m/s], where the model loses thrust by it.
 
-    @functools.cached_property
-    def _speed(self) -> Float[np.ndarray, "6"]:
-        """Root mean square velocity of the windows' starts [m/s, rad/s]."""
-        return np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
-
-    @functools.cached_property
-    def _braking_beside(self) -> Float[np.ndarray, "6"]:
-        """What each axis is braked by beside the file's damping, by its gear and effects [N s/m, N m s].
-
-        The slope of their wrench about going ahead as fast as the logs do, gear at rest, memories left out.
+        Zero where water moves: of the velocity through it the logs do not tell without the model.
         """
-        plant = self.vehicle.plant()
-        still = jnp.zeros(plant.drive.lag.shape[-1])
-        lasting = [effect for effect in plant.wrenches if not isinstance(effect, FluidMemory)]
+        direction = np.asarray(self.vehicle.thrusters.direction)
+        loses = any(self.layout.suspects[m.suspect].effect is InflowLoss for m in model.members)
+        if not loses or self.water(model).any():
+            return np.zeros(len(direction))
+        velocity = np.asarray(self.data.windows.velocity)[:, :3]
+        return np.sqrt(((velocity @ direction.T) ** 2).mean(axis=0))
 
-        def wrench(nu: Array) -> Array:
-            motion = Motion(jnp.zeros(3), jnp.eye(3), nu, nu, jnp.zeros(0), jnp.zeros(()), still)
-            return sum((effect(motion) for effect in lasting), start=plant.pushed(still, nu))
+    def brakes(self, model: Model) -> Bool[np.ndarray, "6 6"]:
+        """On the diagonal whether each axis is braked at the logs' speeds, gear at rest and memory included.
 
-        ahead, step = np.eye(6)[0] * self._speed, np.maximum(self._speed, 1e-3)
-        faster, slower = (jax.vmap(wrench)(jnp.asarray(ahead + sign * np.diag(step))) for sign in (1, -1))
-        return -np.diagonal(faster - slower) / (2 * step)
-
-    def brakes(self, model: Model) -> bool:
-        """Whether the damping, as the model has it, brakes each axis at the logs' speeds, memory included.
-
-        And whatever two axes do together: of a linear coupling both terms come to at most twice the geometric
-        mean of what brakes the two, as D + D' is positive (after Fossen 2021, on damping).
+        Off it whether any motion of two axes is: of a linear coupling both terms come to at most twice the
+        geometric mean of what brakes the two, as D + D' is positive (after Fossen 2021, on damping).
 
         A push within the width of the prior is none: where the file says zero, the logs may say a bit less.
         A prior that the file states itself, which may be wide, allows no more than that of a usual file.
         """
-        speed = self._speed
-        # Of the model as a whole: what a member makes of a coefficient stands in its place.
-        theta = self.theta(model)[: len(self.stretches(model.members).passed)]
-        braking = np.tile(self._braking_beside, (len(theta), 1))
-        coupled = np.tile(np.asarray(self.vehicle.damping.linear), (len(theta), 1, 1))
+        met, theta = len(self.stretches(model.members).passed), self.theta(model)
+        # Starts of windows, root mean square.
+        speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
+        plant_of = self.problem(model.members).plant_of
+        braking = np.array(_braking(plant_of, jnp.asarray(theta), jnp.asarray(speed))[:met])
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
-                axis, by_speed = c.place[0], c.kind == "damping.quadratic"
                 usual = self.criteria.file_error * abs(c.value)
-                least = c.value + theta[:, c.index] + min(c.prior, usual or c.prior)
-                braking[:, axis] += least * (speed[axis] if by_speed else 1.0)
+                slack = min(c.prior, usual or c.prior)
+                braking[:, c.place[0]] += slack * (
+                    speed[c.place[0]] if c.kind == "damping.quadratic" else 1.0
+                )
+        coupled = np.tile(np.asarray(self.vehicle.damping.linear), (met, 1, 1))
+        for placed in self.vehicle.placed:
+            if isinstance(placed.effect, CoupledDamping):
+                coupled += np.asarray(placed.effect.value)
         for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
-            if suspect.effect.brakes_by:
-                gain = columns[:, list(suspect.slots).index(suspect.effect.brakes_by)]
-                braking[:, DOFS.index(str(suspect.target))] += theta @ gain
             if suspect.effect.filed == "damping.linear":
-                coupled[:, *matrix_place(suspect)] += theta @ columns[:, 0]
-        both = (coupled + coupled.swapaxes(1, 2)) * (1.0 - np.eye(6))
-        bound = 4 * braking[:, :, None] * braking[:, None, :]
-        return bool((braking >= 0).all() and (both**2 <= bound).all())
+                coupled[:, *matrix_place(suspect)] += theta[:met] @ columns[:, 0]
+        both = coupled + coupled.swapaxes(1, 2)
+        pairs = both**2 <= 4 * braking[:, :, None] * braking[:, None, :]
+        own = np.eye(6, dtype=bool)
+        holds = np.where(own, braking[:, :, None] >= 0, pairs).all(axis=0)
+        free = self.vehicle.free > 0
+        return holds | ~(free[:, None] & free)
 
     def stands(self, model: Model, beside: Model) -> bool:
         """Whether a refit may stand: it ended, its numbers mean something, and its damping brakes.
 
-        The latter where that of the model it was refitted from does: a cause that turns the file's damping
-        into a push only undoes what the log contradicts in another way.
+        The latter on those axes where that of the model it was refitted from does: a cause that turns the
+        file's damping into a push only undoes what the log contradicts in another way.
         """
         if not np.isfinite(model.cost) or not self.sound(model):
             return False
-        return self.brakes(model) or not self.brakes(beside)
+        return bool((self.brakes(model) | ~self.brakes(beside)).all())
 
     def with_member(self, model: Model, member: Member, value: np.ndarray) -> Model:
         """The model with one member more, its parameters at `value` minus neutral."""
@@ -1116,6 +1111,39 @@ def _screening(problem, affine, delta, knots: int, own, group, groups: int):
 @compiled
 def _water(plant_of: Callable[..., Plant], theta: Float[Array, " slots"], segment) -> Float[Array, "3"]:
     return plant_of(theta, segment).water
+
+
+@compiled
+def _braking(
+    plant_of: Callable[..., Plant],
+    theta: Float[Array, "segments slots"],
+    speed: Float[Array, "6"],
+) -> Float[Array, "segments 6"]:
+    """What each axis is braked by in each segment [N s/m, N m s]: the force over the speed, gear at rest.
+
+    - `speed` [m/s, rad/s]: ahead, and of each other axis beside going ahead. What comes late brakes as much
+      in the end.
+    """
+    size = jnp.maximum(speed, 1e-3)
+    ahead = jnp.eye(6)[0] * size[0]
+
+    def one(theta: Array, segment: Array) -> Array:
+        plant = plant_of(theta, segment)
+        still = jnp.zeros(plant.drive.lag.shape[-1])
+
+        def wrench(nu: Array) -> Array:
+            motion = Motion(jnp.zeros(3), jnp.eye(3), nu, nu, nu, jnp.zeros(()), still)
+            own = damping(plant.damping.linear, plant.damping.quadratic, nu)
+            return sum((effect(motion) for effect in plant.wrenches), plant.pushed(still, nu) - own)
+
+        beside = jax.vmap(wrench)(
+            jnp.concatenate([ahead[None] + jnp.diag(size), ahead[None] - jnp.diag(size)])
+        )
+        slopes = jnp.diagonal(beside[:6] - beside[6:]) / (2 * size)
+        surge = (wrench(ahead) - wrench(jnp.zeros(6)))[0] / size[0]
+        return -slopes.at[0].set(surge)
+
+    return jax.vmap(one)(theta, jnp.arange(len(theta)))
 
 
 @compiled

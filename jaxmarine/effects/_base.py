@@ -81,7 +81,6 @@ class AbstractEffect(eqx.Module):
     name: ClassVar[str]
     units: ClassVar[Mapping[str, str]]
     titled: ClassVar[str] = ""  # its name in a reader's words, where they are others
-    brakes_by: ClassVar[str] = ""  # the parameter that is damping of the target's axis beside the file's
     filed: ClassVar[str] = ""  # the matrix of the vehicle whose entry it changes, such as `damping.linear`
     confused_with: ClassVar[tuple[str, ...]] = ()
     shown_by: ClassVar[str] = ""  # the manoeuvre in which it shows best

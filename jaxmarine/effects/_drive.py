@@ -278,7 +278,7 @@ class ReverseThrust(DriveEffect):
 
     name = "reverse_thrust"
     units = {"factor": "1"}
-    plausible = {"factor": (0.0, math.inf)}  # astern pushes astern, however little
+    plausible = {"factor": (-0.1, math.inf)}  # astern none pushes ahead; none is found within its error
     confused_with = ("thruster_gain", "thrust_curve", "constant_wrench")
     shown_by = "each thruster driven by itself, ahead as well as astern"
     advice = "look which way round the propeller is mounted, and measure its thrust astern on a stand"

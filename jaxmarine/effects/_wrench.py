@@ -313,7 +313,6 @@ class FluidMemory(WrenchEffect):
     """
 
     name = "fluid_memory"
-    brakes_by = "gain"  # what comes late brakes as much in the end
     units = {"gain": "N s/m or N m s", "time_constant": "s"}
     # A shorter memory is damping and added mass, to all that a log shows: gain (nu_r - time_constant nu_r').
     plausible = {"time_constant": (0.2, np.inf)}
