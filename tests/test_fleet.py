@@ -9,8 +9,10 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +23,9 @@ import pytest
 import jaxmarine as jm
 from jaxmarine._program import program
 from jaxmarine.examples import hidden
-from jaxmarine.fleets import _work
+from jaxmarine.fleets import _engine, _work
 from jaxmarine.fleets._folder import Folder
-from jaxmarine.fleets._job import Outcome, job_of
+from jaxmarine.fleets._job import Job, Outcome, job_of
 from jaxmarine.fleets._page import page
 from jaxmarine.fleets._rows import COLUMNS
 from jaxmarine.fleets._table import read_entries
@@ -233,6 +235,24 @@ def test_a_scheduler_by_its_address_goes_on_after_a_run_was_killed(tmp_path):
         for one in started:
             one.terminate()
             one.wait()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_worker_that_is_late_ends_whether_or_not_it_can_say_so(monkeypatch):
+    ended = threading.Event()
+
+    def cut_off(*_):
+        raise OSError("the scheduler is gone")
+
+    worker = SimpleNamespace(log_event=cut_off)
+    monkeypatch.setattr(_engine, "_distributed", lambda: SimpleNamespace(get_worker=lambda: worker))
+    monkeypatch.setattr(_engine.os, "_exit", lambda code: ended.set())
+
+    def waits(_: Job) -> Outcome:
+        return Outcome(error=None if ended.wait(20.0) else "nothing has ended it")
+
+    job = Job("key", "log", "vehicle", (), (), (), "program")
+    assert _engine._within(waits, job, 0.05).error is None
 
 
 def test_an_outcome_half_written_is_none(tmp_path):
