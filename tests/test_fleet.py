@@ -237,16 +237,19 @@ def test_a_scheduler_by_its_address_goes_on_after_a_run_was_killed(tmp_path):
             one.wait()
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_worker_that_is_late_ends_whether_or_not_it_can_say_so(monkeypatch):
     ended = threading.Event()
 
     def cut_off(*_):
         raise OSError("the scheduler is gone")
 
+    def leave(_: int) -> None:
+        ended.set()
+        raise SystemExit  # of the thread alone
+
     worker = SimpleNamespace(log_event=cut_off)
     monkeypatch.setattr(_engine, "_distributed", lambda: SimpleNamespace(get_worker=lambda: worker))
-    monkeypatch.setattr(_engine.os, "_exit", lambda code: ended.set())
+    monkeypatch.setattr(_engine.os, "_exit", leave)
 
     def waits(_: Job) -> Outcome:
         return Outcome(error=None if ended.wait(20.0) else "nothing has ended it")
