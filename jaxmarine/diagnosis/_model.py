@@ -568,13 +568,14 @@ class Workbench:
             for _ in range(STAIRS):
                 step = np.ceil((filed + model.z[place]) / dt - ROUNDED)
                 edge = (step + BEYOND if up > 0 else step - 1.0 - BEYOND) * dt - filed
-                better = None
-                for goal in (edge, model.z[place] + up * dt):
-                    moved = np.where(np.arange(len(model.z)) == place, goal, model.z)
-                    other = self.refine(dataclasses.replace(model, z=moved), max_steps, rtol)
-                    if other.cost < model.cost - LIKELIER and self.sound(other):
-                        better = other
-                        break
+                moved = (
+                    dataclasses.replace(model, z=np.where(np.arange(len(model.z)) == place, goal, model.z))
+                    for goal in (edge, model.z[place] + up * dt)
+                    if filed + goal >= 0
+                )
+                tried = (self.refine(one, max_steps, rtol) for one in moved)
+                less = (o for o in tried if o.cost < model.cost - LIKELIER and self.sound(o))
+                better = next(less, None)
                 if better is None:
                     break
                 model = better
