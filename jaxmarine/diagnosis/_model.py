@@ -562,15 +562,17 @@ class Workbench:
         ]
         own = np.unique(self.vehicle.thrusters.delay)
         filed = float(own[0]) if len(own) == 1 else 0.0
+        spacing = np.concatenate([np.diff(log.t) for log in self.data.logs])
+        uneven = len(own) > 1 or bool((np.abs(spacing - dt) > BEYOND * dt).any())
         # What is least on a step often lies at its edge: one enters the next where it begins, as from its
-        # middle a refinement may come back over the edge. A whole sample leads on where stamps are uneven.
+        # middle a refinement may come back over the edge. Where these are uneven a whole sample may lead on.
         for place, up in itertools.product(stairs, (1, -1)):
             for _ in range(STAIRS):
                 step = np.ceil((filed + model.z[place]) / dt - ROUNDED)
                 edge = (step + BEYOND if up > 0 else step - 1.0 - BEYOND) * dt - filed
                 moved = (
                     dataclasses.replace(model, z=np.where(np.arange(len(model.z)) == place, goal, model.z))
-                    for goal in (edge, model.z[place] + up * dt)
+                    for goal in (edge, model.z[place] + up * dt)[: 1 + uneven]
                     if filed + goal >= 0
                 )
                 tried = (self.refine(one, max_steps, rtol) for one in moved)
