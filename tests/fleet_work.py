@@ -10,6 +10,7 @@ from pathlib import Path
 from jaxmarine._errors import InputError
 from jaxmarine.fleets._job import Job, Outcome
 
+# Not that of `conftest`, which imports JAX: each worker that is begun would wait for it.
 ROOT = Path(__file__).resolve().parent.parent
 
 

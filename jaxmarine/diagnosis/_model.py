@@ -552,7 +552,6 @@ class Workbench:
 
         - `last`: of the last member alone.
         """
-        dt = float(np.median([log.dt for log in self.data.logs]))
         stairs = [
             where.start + list(suspect.slots).index(name)
             for member, where in zip(model.members, self.slices(model.members), strict=True)
@@ -560,6 +559,9 @@ class Workbench:
             for name in suspect.effect.stairs
             if not last or member is model.members[-1]
         ]
+        if not stairs:
+            return model
+        dt = float(np.median([log.dt for log in self.data.logs]))
         own = np.unique(self.vehicle.thrusters.delay)
         filed = float(own[0]) if len(own) == 1 else 0.0
         spacing = np.concatenate([np.diff(log.t) for log in self.data.logs])
