@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,9 +47,19 @@ def study(out: Path, quick: bool) -> Iterator[None]:
 
 
 def write_results(out: Path, results: dict[str, Any], text: str) -> None:
-    """The results as numbers and as tables."""
-    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    """The results as numbers and as tables; a list of numbers is written in one line."""
+    lines = re.sub(r"\[[^][{}\"]*\]", lambda found: " ".join(found[0].split()), json.dumps(results, indent=1))
+    (out / "results.json").write_text(lines + "\n", encoding="utf-8")
     (out / "results.md").write_text(text, encoding="utf-8")
+
+
+def short(kept: Any) -> Any:
+    """Numbers of what is kept, to four significant digits: claims are decided from these."""
+    if isinstance(kept, Mapping):
+        return {key: short(value) for key, value in kept.items()}
+    if isinstance(kept, list | tuple):
+        return [short(value) for value in kept]
+    return float(f"{kept:.4g}") if isinstance(kept, float) else kept
 
 
 def save_figure(plot: Any, path: Path) -> None:
@@ -68,16 +79,19 @@ def wilson(right: int, count: int) -> list[float]:
 LEVEL = 0.05  # of a family of claims
 
 
-def decided(pairs: Mapping[str, Sequence[tuple[float, float]]]) -> list[dict[str, Any]]:
+def decided(
+    pairs: Mapping[str, Sequence[tuple[float, float]]], shares: Mapping[str, float] | None = None
+) -> list[dict[str, Any]]:
     """Claims that one error is below another's, by Wilcoxon's signed ranks of their ratios, pair by pair.
 
-    A claim holds, or is refuted, where the two-sided p of its pairs is below `LEVEL` after Holm's correction
-    for all claims; else these pairs do not decide it. What has diverged is worse than what has not.
+    Of a claim with a share the first is to be below that share of the second. A claim holds, or is refuted,
+    where the two-sided p of its pairs is below `LEVEL` after Holm's correction for all claims; else these
+    pairs do not decide it. What has diverged is worse than what has not.
     """
     out = list[dict[str, Any]]()
     for words, own in pairs.items():
         values = np.minimum(np.nan_to_num(np.array(own, float), nan=np.inf), 1e12)
-        ratio = values[:, 0] / values[:, 1]
+        ratio = values[:, 0] / values[:, 1] / (shares or {}).get(words, 1.0)
         tested: Any = scipy.stats.wilcoxon(np.log(ratio))
         middle = np.median(values, axis=0)
         out.append(
