@@ -11,6 +11,8 @@ import jaxmarine as jm
 from experiments import measured_usv as usv
 from jaxmarine.effects import CATALOGUE, Motion
 
+from .conftest import ROOT
+
 
 def _motion(nu, command=(0.0, 0.0), psi: float = 0.0) -> Motion:
     """The boat on heading `psi` in still water."""
@@ -103,43 +105,67 @@ def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, t
     assert (tmp_path / "test.png").stat().st_size > 10_000
 
 
-def test_the_page_says_what_was_found():
-    found = json.loads((usv.HERE / "results.json").read_text())
-    page = (usv.HERE / "README.md").read_text()
-    left_out = found["cross_validation_rms"]
-    rows = {
-        "fitted | `test/`": found["scored_rms"]["fitted"],
-        "the same from `vtec_s3.toml` | `test/`": found["scored_rms"]["vtec_s3.toml"],
-        "fitted | `train/`, each run left out": left_out[found["candidate"]],
-        "the same with linear and quadratic surge drag | `train/`, each run left out": left_out[
-            "linear and quadratic surge drag"
-        ],
-        "terms of the vehicle file only | `train/`, each run left out": left_out[
-            "terms of the vehicle file only"
-        ],
-        "fitted | `train/`, as fitted": found["train_rms"]["fitted"],
-        "the team's model from `vtec_s3.toml` | `train/`": found["train_rms"]["vtec_s3.toml"],
-    }
-    for words, errors in rows.items():
-        assert f"| {words} | " + " | ".join(f"{x:.3f}" for x in errors) + " |" in page
-    lines = " ".join(page.split())
-    for errors in (
-        left_out["no advance loss"],
-        left_out["no turn lift"],
-        found["scored_rms"]["fitted, whole runs"],
-    ):
-        assert "{:.3f}, {:.3f} and {:.3f}".format(*errors) in lines
-    drag = [np.exp(found["parameters"][f"surge_drag.log_{k}"][1]) for k in range(6)]
-    assert ", ".join(f"{d:.1f}" for d in drag[:5]) + f" and {drag[5]:.1f} N s/m" in lines
-    for answer in found["diagnoses"]:
-        if answer["findings"]:
-            assert f"| {answer['verdict']} | {usv.named(answer)} |" in page
-        else:
-            assert answer["verdict"] == "nothing_found"
-    # Of the three defective runs the cause that is known comes first.
-    first = [a["findings"][0] for a in found["diagnoses"] if a["findings"]]
-    assert [(f["effect"], f["target"]) for f in first] == [
-        ("velocity_in_earth_axes", None),
-        ("thruster_gain", "all"),
-        ("thruster_gain", "all"),
+def test_the_squared_error_lies_where_a_run_was_spoilt():
+    """A boat at rest that is measured to move for 2 s of 20 s: all of its error is within one horizon."""
+    boat = usv.start_of(jm.load_vehicle(usv.HERE / "vtec_s3.toml"))
+    t = 0.05 * np.arange(400)
+    channels = np.full((400, 18), np.nan)
+    channels[:, [*usv.PLACES, usv.PSI]] = 0.0
+    channels[240:280, usv.PLACES[0]] = 1.0
+    quiet, spoilt = (
+        jm.Log(t, own, np.zeros((400, 2)), None, boat.command_names, name)
+        for name, own in (("quiet", np.where(channels == 1.0, 0.0, channels)), ("spoilt", channels))
+    )
+    found = usv.densest(boat, [quiet, spoilt])
+    assert found["run"] == "spoilt" and found["share"] == pytest.approx(1.0)
+    assert found["begin"] <= 12.0 and found["begin"] + usv.HORIZON >= 14.0
+
+
+FOUND = json.loads((usv.HERE / "results.json").read_text())
+PAGE = (usv.HERE / "README.md").read_text()
+
+
+def test_the_pages_show_the_tables_of_the_results():
+    for table in usv.error_table(FOUND), usv.candidate_table(FOUND), usv.diagnosis_table(FOUND):
+        assert f"\n\n{table}\n" in PAGE
+    # The page has no table beside them but that of the runs and their bags.
+    assert sum(line.startswith("| ---") for line in PAGE.splitlines()) == 4
+    scored = FOUND["scored_rms"]
+    heads = ("model", "u [m/s]", "v [m/s]", "r [rad/s]")
+    rows = [
+        [words, *(f"{x:.3f}" for x in scored[name])]
+        for words, name in (
+            ("fitted by trajectories, with effects of its own", "fitted"),
+            ("the team's model", "vtec_s3.toml"),
+        )
     ]
+    trust = (ROOT / "docs" / "trust.md").read_text()
+    assert f"\n\n{usv.table(heads, rows)}\n" in trust
+
+
+def test_the_page_says_what_was_found():
+    lines = " ".join(PAGE.split())
+    left_out = FOUND["cross_validation_rms"]
+    assert FOUND["candidate"] == min(left_out, key=lambda name: usv.merit(left_out[name])) == "all terms"
+    for name in "no advance loss", "no turn lift":
+        assert (np.array(left_out[name]) > left_out["all terms"])[[0, 2]].all()
+    assert f"fits {len(FOUND['parameters'])} numbers to the eleven runs" in lines
+    logs = [FOUND["parameters"][f"surge_drag.log_{k}"] for k in range(6)]
+    drag = [np.exp(log) for _, log, _ in logs]
+    assert ", ".join(f"{d:.1f}" for d in drag[:5]) + f" and {drag[5]:.1f} N s/m" in lines
+    assert {round(np.exp(std)) for *_, std in logs[:3]} == {2, 3}
+    densest = FOUND["densest"]
+    assert densest["run"] == "20210611_133412_guidance_exp4.csv"
+    words = "{:.0f} % lies in 5 s of one run, 13:34 on 11 June from {:.1f} s on"
+    assert words.format(100 * densest["share"], densest["begin"]) in lines
+    answers = {answer["run"]: answer for answer in FOUND["diagnoses"]}
+    seconds = [answer["seconds"] for answer in answers.values()]
+    assert f"{min(seconds):.0f} to {max(seconds):.0f} s of one core each" in lines
+    # Of the three defective runs the cause that is known comes first, of the others nothing is named.
+    first = [(f["effect"], f["target"]) for run in usv.KNOWN for f in answers[run]["findings"][:1]]
+    assert first == [("velocity_in_earth_axes", None), ("thruster_gain", "all"), ("thruster_gain", "all")]
+    assert {a["verdict"] for run, a in answers.items() if run not in usv.KNOWN} == {"nothing_found"}
+    unknown = answers["20210608_145654_guidance_exp0.csv"]["findings"][-1]["excess"]
+    assert unknown["end"] - unknown["begin"] == pytest.approx(1.0) and unknown["unit"] == "N"
+    words = "from {:.1f} s on a force of {:.0f} N is missing for a second, {:.2f} of the full thrust"
+    assert words.format(unknown["begin"], unknown["rms"], unknown["share"]) in lines
