@@ -51,7 +51,8 @@ HORIZONS, EVERY = (5.0, 30.0, 100.0), 10.0  # [s]; a prediction starts so often,
 COLUMNS = {"position": "m", "heading": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
 X, Y, PSI, U, V, R = (CHANNELS.index(name) for name in ("x", "y", "psi", "u", "v", "r"))
 # Advance and tactical diameter [m] of MARIN's turns, measured and predicted, as their repository prints them
-# (docs/paper/06.20_results_kvlcc2.ipynb): its regression on the same zigzags and that of 35 degrees.
+# (docs/paper/06.20_results_kvlcc2.ipynb, tab_kvlcc2_advance): its regression on the same zigzags and that of
+# 35 degrees.
 PRINTED = {"tc_35": ((21.59, 21.21), (21.72, 23.07)), "tc_-35": ((22.54, 22.10), (23.55, 24.29))}
 
 Run = tuple[str, str]
@@ -184,31 +185,40 @@ def pretended(folder: Path, run: Run, amplitude: float, seconds: float) -> None:
 # --- what is written -----------------------------------------------------------------------------
 
 
+def error_table(models: dict[str, dict[str, list[float]]]) -> str:
+    """Errors of all models on one kind of runs, by the length of the predictions."""
+    heads = " | ".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())
+    lines = [f"| model | over [s] | {heads} |", "|---" * (2 + len(COLUMNS)) + "|"]
+    for model, rows in models.items():
+        for horizon, row in rows.items():
+            lines.append(f"| {model} | {horizon} | " + " | ".join(f"{x:.3f}" for x in row) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def turn_table(turned: dict[str, Any]) -> str:
+    """Advance and tactical diameter of each turn, ours and theirs."""
+    lines = [
+        "| turn | whose | advance [m]: measured, predicted | tactical diameter [m] |",
+        "|---|---|---|---|",
+    ]
+    for name, ours in turned.items():
+        theirs = tuple(zip(*PRINTED[name], strict=True))
+        for whose, (measured, predicted) in (("jaxmarine fit", ours), ("theirs, as printed", theirs)):
+            cells = [
+                f"{true:.2f}, {said:.2f} ({said / true - 1:+.1%})"
+                for true, said in zip(measured, predicted, strict=True)
+            ]
+            lines.append(f"| {name} | {whose} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
 def markdown(results: dict[str, Any]) -> str:
     """Tables of errors, turns and times."""
-    lines = []
-    for kind, tables in results["rms"].items():
-        heads = " | ".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())
-        lines += [f"{kind}:", "", f"| model | over [s] | {heads} |", "|---" * (2 + len(COLUMNS)) + "|"]
-        for model, rows in tables.items():
-            for horizon, row in rows.items():
-                lines.append(f"| {model} | {horizon} | " + " | ".join(f"{x:.3f}" for x in row) + " |")
-        lines.append("")
+    parts = [f"{kind}:\n\n{error_table(models)}" for kind, models in results["rms"].items()]
     if results["circles"]:
-        lines += ["| turn | advance [m]: measured, predicted | tactical diameter [m] |", "|---|---|---|"]
-        ours = {f"{name}, jaxmarine fit": pair for name, pair in results["circles"].items()}
-        theirs = {
-            f"{name}, their regression": tuple(zip(*pair, strict=True)) for name, pair in PRINTED.items()
-        }
-        for name, ((advance, diameter), (said_advance, said_diameter)) in (ours | theirs).items():
-            lines.append(
-                f"| {name} | {advance:.2f}, {said_advance:.2f} ({said_advance / advance - 1:+.1%}) | "
-                f"{diameter:.2f}, {said_diameter:.2f} ({said_diameter / diameter - 1:+.1%}) |"
-            )
-        lines.append("")
-    lines += ["| command | seconds |", "|---|---|"]
-    lines += [f"| {name} | {seconds:.0f} |" for name, seconds in results["seconds"].items()]
-    return "\n".join(lines) + "\n"
+        parts.append(turn_table(results["circles"]))
+    times = [f"| {name} | {seconds:.0f} |" for name, seconds in results["seconds"].items()]
+    return "\n".join([*parts, "| command | seconds |", "|---|---|", *times]) + "\n"
 
 
 def main(
