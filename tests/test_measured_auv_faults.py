@@ -189,8 +189,60 @@ def test_the_page_says_what_was_found():
     told, state = np.array(found["test_probabilities"]), np.array(found["test_states"])
     weight, pressure = (told[state == k, k] for k in (1, 2))
     sure = [(own > auv.CONFIDENT).sum() for own in (pressure, weight)]
+    lines = " ".join(page.split())
+    assert f"of least log loss on training runs whose session was left out, {found['trust']:.2f}:" in lines
+    assert "which 39 are at the shared levels" in lines
+    assert scores["model, test at shared levels"]["runs"] == 39
     words = f"{weight.mean():.2f} on average where they are true, and {sure[0]} and {sure[1]} of their 15"
-    assert words in " ".join(page.split())
+    assert f"{pressure.mean():.2f}" == f"{weight.mean():.2f}" and words in lines
+    # Normal and damaged get 0.3 each, whichever is true, and none is told surely.
+    alike = np.flatnonzero(auv.GROUPS == 0)
+    means = [told[state == k][:, alike].mean(axis=0) for k in alike]
+    np.testing.assert_allclose(means, 0.3, atol=0.05)
+    among = scores["model, test, normal and damaged among themselves"]
+    assert among["confident"] == 0 and among["log_loss"][0] == pytest.approx(np.log(3), abs=0.05)
+    bad = "{:.2f} ± {:.2f} (bad)".format(*found["parameters"]["gain, bad"])
+    assert f"The factor of {bad} is known from twelve sessions together" in lines
+    assert found["sessions"]["PropellerDamage_bad"] == 12
+    assert f"{found['scatter']['trim of a session']:.3f} N/kg, hides" in lines
+    run, dealt, level = (
+        scores[name]
+        for name in (
+            "model, simulated",
+            "model, simulated, levels dealt out",
+            "command level alone, simulated, levels dealt out",
+        )
+    )
+    sure = [f"{one['confident_right']} of {one['confident']}" for one in (dealt, level)]
+    losses = [one["log_loss"][0] for one in (dealt, run, level)]
+    words = (
+        "{:.2f} ({:.2f} with those as run; evidence in full; {} answers over 0.9 right), that of the level "
+        "{:.2f} ({})"
+    )
+    assert words.format(*losses[:2], sure[0], losses[2], sure[1]) in lines
+    blind = np.array(scores["model without the command, test"]["confusion"])[:, 1].sum()
+    assert f"`AddWeight` is the likeliest state of {blind} of the 75 runs" in lines
+    normal = scores[auv.LEFT_OUT]["confusion"][0]
+    assert f"{normal[1]} of {sum(normal)} normal ones are likeliest to be `AddWeight`" in lines
+    voltage = "the voltage to the power of {:.1f} ± {:.1f}".format(*found["parameters"]["voltage exponent"])
+    assert f"{voltage}, and a push of {found['parameters']['force at 0 s'][0]:.0f} N/kg at the start" in lines
+
+
+def test_the_measured_runs_are_those_that_the_page_tells_of(shared):
+    data = shared / "data" / "haizhe-auv"
+    if not data.is_dir():
+        pytest.skip("the measured runs of ../shared/data/haizhe-auv are not on this machine")
+    lines = " ".join((ROOT / "experiments" / "README.md").read_text().split())
+    train, test = haizhe.read(data, "train"), haizhe.read(data, "test")
+    assert "60 and 15 runs" in lines
+    for runs, count in ((train, 60), (test, 15)):
+        assert np.bincount(runs.state).tolist() == [count] * 5
+    weight, others = (train.level[(train.state == 1) == own] for own in (True, False))
+    assert (
+        f"{weight.min():.0f} to {weight.max():.0f} µs with more weight, {others.min():.0f} and more" in lines
+    )
+    _, of_one = np.unique(haizhe.sessions(train)[train.state == 0], return_counts=True)
+    assert f"{of_one.max()} of the normal runs are of one session" in lines
 
 
 def test_without_the_data_it_says_so(tmp_path, capsys):

@@ -117,6 +117,18 @@ def test_the_page_has_the_numbers_of_the_kept_run():
     found = told_apart.summary(kept["rows"])
     assert found == kept["draws"]
     assert told_apart.table(found, kept["rows"]).strip() in page
+    lines, kinds = " ".join(page.split()), told_apart.KINDS
+    assert f"is drawn again: here {['never', 'once', 'twice'][found['undrawn']]}." in lines
+    seconds = [
+        r["draw_cpu_s"] + r["plan_cpu_s"] + sum(r[kind]["cpu_s"] for kind in kinds) for r in kept["rows"]
+    ]
+    assert f"({np.median(seconds):.0f} s of one core for a draw, in the median;" in lines
+    low, high = told_apart.SEVERITY
+    assert f"of a severity between {low:g} and {high:g} (" in lines
+    assert f"in a box ({told_apart.BOX.speed:g} m/s, {told_apart.BOX.radius:g} m)" in lines
+    right = sum(found[kind]["decides"] for kind in kinds)
+    assert f"{right} of {len(kinds) * found['of']} manoeuvres name the right one of two" in lines
+    assert [one["dives"] for one in found["nats"] if "found" in one["claim"]] == [2, 4]
     for row in kept["rows"]:
         assert row["random"]["command_rms"] == pytest.approx(row["planned"]["command_rms"], rel=1e-6)
 
