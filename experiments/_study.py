@@ -92,7 +92,8 @@ def decided(
     for words, own in pairs.items():
         values = np.minimum(np.nan_to_num(np.array(own, float), nan=np.inf), 1e12)
         ratio = values[:, 0] / values[:, 1] / (shares or {}).get(words, 1.0)
-        tested: Any = scipy.stats.wilcoxon(np.log(ratio))
+        alike = (ratio == 1).all()  # nothing to rank
+        tested: Any = None if alike else scipy.stats.wilcoxon(np.log(ratio))
         middle = np.median(values, axis=0)
         out.append(
             {
@@ -102,7 +103,7 @@ def decided(
                 "ratio": float(np.median(ratio)),
                 "wins": int((ratio < 1).sum()),
                 "dives": len(ratio),
-                "p": float(tested.pvalue),
+                "p": 1.0 if alike else float(tested.pvalue),
             }
         )
     return _judged(out, [one["ratio"] < 1 for one in out])

@@ -76,6 +76,8 @@ def test_claims_are_decided_by_their_pairs():
     # One that has diverged counts as the worse.
     ahead[3, 1] = np.inf
     assert tethra_tables.claims(errors(ahead))[0]["wins"] == 12
+    # Pairs that are alike to the last digit say nothing.
+    assert tethra_tables.claims(errors(np.ones((12, 2))))[0]["p"] == 1.0
 
 
 def test_collisions_are_ignored_or_a_problem_at_a_tenth():
