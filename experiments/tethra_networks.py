@@ -5,9 +5,9 @@ usage: python -m experiments.tethra_networks --out DIR [--seeds N] [--quick]
 Six networks learn the acceleration, the mass is read from them, six more learn the damping; all of it is then
 a vehicle, whose feedforward steers the spiral dive of `tethra_control`. As printed, and with what mends it:
 an intercept and symmetry for the mass, networks that brake at every velocity. In case III a sonar is mounted
-under way that multiplies the damping. Networks that brake learn all of their weights online in cases II and
-III, in the latter with feedback too. What a seed has given lies in `DIR/parts`, so that a run that was cut
-goes on where it was.
+under way that multiplies the damping. Networks as printed and those that brake learn all of their weights
+online in cases II and III, the latter in case III with feedback too. What a seed has given lies in
+`DIR/parts`, so that a run that was cut goes on where it was.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from rich.progress import Progress
 
 import jaxmarine as jm
 from experiments import tethra_control as study_of_control
-from experiments._study import claim_table, decided, spread, study, write_results
+from experiments._study import claim_table, decided, short, spread, study, write_results
 from experiments.tethra_control import DT, at_rest, dragging, errors, guess, measured, mounted, wrench_for
 from experiments.thesis import plant
 from jaxmarine import control
@@ -47,41 +47,35 @@ THINNED = 4  # one of so many samples trains the networks that brake
 REHEARSED = 200  # velocities of the first log at which an update keeps what was known
 SHARE = 0.3  # their weight
 # Tables 5.3 to 5.5, rms per axis [m]; case I, and case II online, from the text ("less than a millimeter").
-# Which networks learned online the thesis does not say beyond its own; ours that brake stand beside it.
 PRINTED = {
     ("I", "networks as printed"): (0.001, 0.001, 0.001),
     ("II", "networks as printed"): (0.29, 0.20, 0.24),
-    ("II", "the same, damping that brakes, learning"): (0.001, 0.001, 0.001),
+    ("II", "networks as printed, learning"): (0.001, 0.001, 0.001),
     ("III", "networks as printed, stale"): (1.96, 2.28, 0.35),
-    ("III", "the same, damping that brakes, learning"): (0.31, 0.25, 0.042),
+    ("III", "networks as printed, learning"): (0.31, 0.25, 0.042),
 }
 COUNTS = ("taken", "offered", "judged", "regretted")
+KEPT = ("rms_m", "late_velocity_rms", *COUNTS)  # of each dive
 # Case, the model whose error is to be lower, the one it is compared with, and which error.
 CLAIMS = (
     ("ours: an intercept and symmetry help", "I", MENDED, PLAIN, "rms_m"),
     ("ours: with noise too", "II", MENDED, PLAIN, "rms_m"),
     ("ours: networks that brake are better, with noise", "II", BRAKING, MENDED, "rms_m"),
-    (
-        "thesis, by networks of ours: learning online lowers the late velocity error",
-        "II",
-        f"{BRAKING}, learning",
-        BRAKING,
-        "late_velocity_rms",
+    *(
+        (f"{whose}: learning online lowers {what}", case, f"{way}, learning", f"{way}{before}", error)
+        for whose, way in (("thesis", PLAIN), ("thesis, by networks of ours that brake", BRAKING))
+        for case, before in (("II", ""), ("III", ", stale"))
+        for what, error in (("the late velocity error", "late_velocity_rms"), ("the way off", "rms_m"))
     ),
-    ("thesis, by networks of ours: and the way off", "II", f"{BRAKING}, learning", BRAKING, "rms_m"),
-    (
-        "thesis, by networks of ours: learning online lowers the late velocity error",
-        "III",
-        f"{BRAKING}, learning",
-        f"{BRAKING}, stale",
-        "late_velocity_rms",
-    ),
-    (
-        "thesis, by networks of ours: and the way off",
-        "III",
-        f"{BRAKING}, learning",
-        f"{BRAKING}, stale",
-        "rms_m",
+    *(
+        (
+            "ours: learning online, those that brake are better",
+            case,
+            f"{BRAKING}, learning",
+            f"{PLAIN}, learning",
+            "rms_m",
+        )
+        for case in ("II", "III")
     ),
     (
         "ours: under feedback too, the way off",
@@ -175,10 +169,11 @@ def _retrained(term: NetworkDamping, nu, targets, known) -> NetworkDamping:
 class Online:
     """Retrains the damping networks on the newest motion; kept is an update that explains what came later.
 
-    Networks of the form L L' + K brake at every velocity whatever their weights, so that the model cannot
-    give energy to the hull. An update is bounded by ten steps, by what is rehearsed, and by the last `JUDGED`
-    seconds, to whose forces it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures,
-    and `regretted` the updates, of `judged`, that were farther from what came next than what they replaced.
+    An update is bounded by ten steps, by what is rehearsed, and by the last `JUDGED` seconds, to whose forces
+    it has to be nearer than what it replaces. No proof: `RUN_AWAY` counts failures, and `regretted` the
+    updates, of `judged`, that were farther from what came next than what they replaced. Networks of the form
+    L L' + K brake at every velocity whatever their weights, so that the model cannot give energy to the hull;
+    those as printed may.
     Accelerations are slopes of the velocities, whose noise is far below that of the accelerations.
     """
 
@@ -286,54 +281,52 @@ def trial(truth: jm.Vehicle, path, size: Size, seed: int) -> list[dict[str, Any]
             note(case, way, study_of_control.followed(truth, model, path).trajectory)
     feedback = control.pole_placement(guess(truth).mass_matrix, study_of_control.FREQUENCY)
     known = noisy.channels[:: max(1, len(noisy.t) // REHEARSED), 6:12][:REHEARSED]
-    for way in (PLAIN, BRAKING):
-        note("III", f"{way}, stale", flown(truth, models["II", way], None, path, size.change, seed))
-    for case, words, change, back in (
-        ("II", "learning", np.inf, None),
-        ("III", "learning", size.change, None),
-        ("III", "learning, with feedback", size.change, feedback),
-    ):
+
+    def learn(case: str, way: str, words: str, change: float, back=None):
         online = Online(known)
-        run = flown(truth, models["II", BRAKING], online, path, change, seed, back)
-        note(case, f"{BRAKING}, {words}", run, {name: getattr(online, name) for name in COUNTS})
+        run = flown(truth, models["II", way], online, path, change, seed, back)
+        note(case, f"{way}, {words}", run, {name: getattr(online, name) for name in COUNTS})
+
+    for way in (PLAIN, BRAKING):
+        learn("II", way, "learning", np.inf)
+        note("III", f"{way}, stale", flown(truth, models["II", way], None, path, size.change, seed))
+        learn("III", way, "learning", size.change)
+    learn("III", BRAKING, "learning, with feedback", size.change, feedback)
     run = flown(truth, models["II", BRAKING], None, path, size.change, seed, feedback)
     note("III", f"{BRAKING}, stale, with feedback", run)
     return rows
 
 
-def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Per case and model over seeds: medians per axis, the largest axis' spread, how many ran away."""
+def gathered(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per case and model what each seed gave, in the order of the seeds."""
     out = []
     for case, model in sorted(
         dict.fromkeys((row["case"], row["model"]) for row in rows), key=lambda one: one[0]
     ):
         own = [row for row in rows if (row["case"], row["model"]) == (case, model)]
-        rms = np.array([row["rms_m"] for row in own], float)
-        rms = np.where(np.isfinite(rms), rms, np.inf)
-        one: dict[str, Any] = {"case": case, "model": model, "seeds": len(own)}
-        one |= {"rms_m": np.median(rms, axis=0).tolist(), "worst_m": float(rms.max())}
-        if case != "I":
-            late = np.array([row["late_velocity_rms"] for row in own], float)
-            late = np.where(np.isfinite(late), late, np.inf)
-            one |= {"late_velocity_rms": late.tolist(), "ran_away": int((late > RUN_AWAY).sum())}
-            one |= {name: sum(row.get(name, 0) for row in own) for name in COUNTS}
-        out.append(one)
+        given = {name: short([row[name] for row in own]) for name in KEPT if own[0].get(name) is not None}
+        out.append({"case": case, "model": model} | given)
     return out
 
 
-def claims(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def sizes(values: list) -> Float[np.ndarray, " seeds"]:
+    """Errors of each seed by their length; what is no number has run away."""
+    own = np.array(values, float).reshape(len(values), -1)
+    return np.nan_to_num(np.linalg.norm(own, axis=1), nan=np.inf)
+
+
+def ran_away(run: dict[str, Any]) -> int:
+    return int((sizes(run["late_velocity_rms"]) > RUN_AWAY).sum())
+
+
+def claims(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each claim over seeds; positions count by the length of their rms."""
-    found = {(row["case"], row["model"], row["seed"]): row for row in rows}
-    seeds = sorted({row["seed"] for row in rows})
-
-    def size(case: str, model: str, seed: int, error: str) -> float:
-        return float(np.linalg.norm(found[case, model, seed][error]))
-
+    found = {(one["case"], one["model"]): one for one in runs}
     return decided(
         {
-            f"{words} (case {case})": [
-                (size(case, better, seed, error), size(case, worse, seed, error)) for seed in seeds
-            ]
+            f"{words} (case {case})": list(
+                zip(*(sizes(found[case, model][error]) for model in (better, worse)), strict=True)
+            )
             for words, case, better, worse, error in CLAIMS
         }
     )
@@ -343,15 +336,17 @@ def table(results: dict[str, Any]) -> str:
     """Median rms per axis beside what the thesis prints, the worst seed's, and late velocities."""
     lines = ["| case | model | rms x, y, z m | printed | worst m | late velocity, rms m/s | ran away |"]
     lines.append("|---|---|---|---|---|---|---|")
-    for one in results["summary"]:
+    for one in results["runs"]:
+        rms = np.nan_to_num(np.array(one["rms_m"], float), nan=np.inf)
         found, printed = (
             ", ".join(f"{x:.2g}" for x in values)
-            for values in (one["rms_m"], PRINTED.get((one["case"], one["model"]), ()))
+            for values in (np.median(rms, axis=0), PRINTED.get((one["case"], one["model"]), ()))
         )
         late, away = "", ""
         if one["case"] != "I":
-            late, away = spread(one["late_velocity_rms"], 4), f"{one['ran_away']} of {one['seeds']}"
-        cells = [one["case"], one["model"], found, printed, f"{one['worst_m']:.2g}", late, away]
+            late = spread(sizes(one["late_velocity_rms"]).tolist(), 4)
+            away = f"{ran_away(one)} of {len(rms)}"
+        cells = [one["case"], one["model"], found, printed, f"{rms.max():.2g}", late, away]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n\n" + claim_table(results["claims"])
 
@@ -378,7 +373,8 @@ def main(
             if not kept.exists():
                 kept.write_text(json.dumps(trial(truth, path, size, seed)), encoding="utf-8")
             rows += json.loads(kept.read_text())
-            results = {"summary": summary(rows), "claims": claims(rows)}
+            runs = gathered(rows)
+            results = {"runs": runs, "claims": claims(runs)}
             write_results(out, results, table(results))
 
 
