@@ -24,7 +24,9 @@ from jaxmarine.effects import (
     WrenchEffect,
 )
 from jaxmarine.fitting import Fit, FitError, _trajectory, fit
+from jaxmarine.fitting._estimate import units
 from jaxmarine.fitting._free import set_free
+from jaxmarine.fitting._windows import cut
 from jaxmarine.logs import Log, Rejected
 from jaxmarine.networks import mlp_damping
 from jaxmarine.simulation import initial_state, simulate
@@ -128,6 +130,26 @@ def test_starts_as_measured_recover_without_noise_and_nothing_else_is_taken():
     for starts, loss in (("guessed", "trajectory"), ("measured", "one_step")):
         with pytest.raises(ValueError, match="starts"):
             fit(boat(), log, everything, starts=starts, loss=loss)
+
+
+def test_no_window_begins_faster_than_the_craft_goes():
+    """A model that stops turning at once would have windows begin at any rate, which no sensor holds."""
+    log = record(boat(), steps())
+    seen = np.where(np.isin(CHANNELS, ["u", "v", "psi"]), log.channels, np.nan)
+    log = dataclasses.replace(log, channels=seen)
+    stiff = eqx.tree_at(lambda v: v.damping.quadratic, boat(), boat().damping.quadratic.at[5, 5].mul(10.0))
+    freed, scales = set_free(stiff, lambda v: v.damping.linear, None, "diagonal")
+    # Weights are what such a model misses, far more than the sensors' noise.
+    noise = np.where(np.isfinite(seen).any(axis=0), 100 * np.repeat([*NOISE.values(), 1.0, 1.0], 3), np.nan)
+    data = cut(stiff, (log,), noise, 4.0)
+    task = _trajectory.window_task(
+        freed, units(freed, scales), data, _trajectory.segments(stiff, (log,)), 1, False
+    )
+    held = eqx.tree_at(lambda t: t.affine.columns, task, jnp.zeros_like(task.affine.columns))
+    found = _trajectory.refine_windows(held, jnp.zeros(3), jnp.zeros((data.windows.count, 12)), 100)
+    assert found.converged and np.isfinite(found.cost)
+    fastest = np.abs(np.asarray(data.records.velocity)[..., 5]).max()
+    assert np.abs(np.asarray(found.delta)[:, 11]).max() < fastest
 
 
 def test_costly_windows_are_rejected():

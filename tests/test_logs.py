@@ -111,6 +111,27 @@ def test_a_file_written_by_hand_is_read_as_it_stands(tmp_path):
     assert log.notes == ()
 
 
+@pytest.mark.parametrize(
+    "names,enough",
+    [
+        ("x y psi", True),
+        ("u v r", True),
+        ("u v psi", True),
+        ("x y r", False),
+        ("u psi r", False),
+        ("psi", False),
+    ],
+)
+def test_translation_and_rotation_are_each_seen(tmp_path, names, enough):
+    """A Doppler log and a compass will do; positions need a heading, and no axis may go unseen."""
+    table = planar_table()[["t", "port", "star", *names.split()]]
+    if enough:
+        assert {*read_log(saved(table, tmp_path), PLANAR).measured} == {*names.split()}
+    else:
+        with pytest.raises(InputError, match="for whose rates the attitude may stand"):
+            read_log(saved(table, tmp_path), PLANAR)
+
+
 @pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "RUN.CSV", "run.parquet"])
 def test_all_formats_give_the_same_log(tmp_path, name):
     table = planar_table()

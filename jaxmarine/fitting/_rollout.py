@@ -75,12 +75,21 @@ def measured_channels(windows: Windows) -> tuple[int, ...]:
     return tuple(np.flatnonzero((np.asarray(windows.weight) > 0).any(axis=(0, 1))).tolist())
 
 
-def start_precision(free: Float[np.ndarray, "6"]) -> Float[np.ndarray, "12"]:
-    """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes."""
+def start_precision(
+    free: Float[np.ndarray, "6"], speeds: Float[np.ndarray, "6"] | None = None
+) -> Float[np.ndarray, "12"]:
+    """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes.
+
+    - `speeds`: root mean squares of the craft's velocities [m/s, rad/s]: where no sensor holds it, a window
+      begins no farther than that from the velocity that was guessed.
+    """
     surge, sway, heave, roll, pitch, yaw = free
     level = max(surge, sway)
     moves = [level, level, max(heave, level * max(roll, pitch)), roll, pitch, yaw, *free]
-    return np.where(np.array(moves) > 0, LOOSE, TIGHT) ** -2.0
+    loose = np.full(12, LOOSE)
+    if speeds is not None:
+        loose[6:] = np.where(speeds > TIGHT, np.minimum(speeds, LOOSE), LOOSE)
+    return np.where(np.array(moves) > 0, loose, TIGHT) ** -2.0
 
 
 def wrapped(error: Float[Array | np.ndarray, "*steps channels"]) -> Array:

@@ -181,7 +181,7 @@ def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: 
         FreedPlant(freed, jnp.asarray(acting.gates)),
         data.records,
         data.windows,
-        jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free)),
+        jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free, data.speeds)),
         measured_channels(data.windows),
         jnp.asarray(split),
         axes=vehicle.axes,

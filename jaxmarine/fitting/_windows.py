@@ -76,6 +76,12 @@ class Cut:
     dof: tuple[str, ...]  # axes that are free
     hold: float  # the longest time from a sample of a window to the next [s]
 
+    @property
+    def speeds(self) -> Float[np.ndarray, "6"]:
+        """Root mean squares of the velocities with which windows are guessed to begin [m/s, rad/s]."""
+        used = np.any(np.asarray(self.windows.weight) > 0, axis=(1, 2))
+        return np.sqrt((np.asarray(self.windows.velocity)[used] ** 2).mean(axis=0))
+
 
 @dataclasses.dataclass(frozen=True)
 class Room:

@@ -41,6 +41,13 @@ def free_velocities(dof: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(c for d, c in zip(DOFS, VELOCITY + RATE, strict=True) if d in dof)
 
 
+def free_motions(dof: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Channels of which a log needs one set: poses, velocities, or velocities with attitude for rates."""
+    poses, velocities = free_poses(dof), free_velocities(dof)
+    steered = tuple(c for c in velocities if c in VELOCITY) + tuple(c for c in poses if c in ATTITUDE)
+    return poses, velocities, steered
+
+
 def free_wrench(dof: tuple[str, ...]) -> tuple[str, ...]:
     """The components of the control wrench on the free degrees of freedom."""
     return tuple(c for d, c in zip(DOFS, WRENCH, strict=True) if d in dof)

@@ -13,7 +13,7 @@ from .._files import listed
 from .._types import ALL_CHANNELS, ATTITUDE, BATTERY, WRENCH, width_of
 from ._clean import clean
 from ._columns import ColumnMap, read_columns
-from ._craft import Craft, free_poses, free_velocities, free_wrench
+from ._craft import Craft, free_motions, free_wrench
 from ._log import Log
 from ._notes import Note
 
@@ -140,23 +140,23 @@ def _time(file: MappedFile) -> np.ndarray:
 
 
 def _check_motion(file: MappedFile, channels: np.ndarray, dof: Sequence[str]) -> None:
-    """The free degrees of freedom are seen by position with attitude, or by velocity."""
+    """The free axes are seen by position with attitude, or by velocity with rates or attitude."""
     finite = np.isfinite(channels)
     seen = {name for index, name in enumerate(ALL_CHANNELS[: channels.shape[1]]) if finite[:, index].any()}
     hollow = [name for name in ALL_CHANNELS if name in file and name not in seen]
-    pose, velocity = free_poses(tuple(dof)), free_velocities(tuple(dof))
-    if not (seen.issuperset(pose) or seen.issuperset(velocity)):
-        nearer = min(pose, velocity, key=lambda names: len(set(names) - seen))
+    motions = pose, velocity, _ = free_motions(tuple(dof))
+    if not any(map(seen.issuperset, motions)):
+        nearer = min(motions, key=lambda names: len(set(names) - seen))
         empty = [name for name in nearer if name in hollow]
         if empty:
             raise InputError(
                 f"{file.path}: column {file.label(empty[0])} has no value in any row; fill it, or "
-                f"give the other set: {listed(pose if nearer == velocity else velocity)}."
+                f"give the other set: {listed(velocity if nearer == pose else pose)}."
             )
         raise InputError(
             f"{file.path}: lacks {listed(file.missing(nearer))}; a log of this vehicle needs "
-            f"position with attitude ({listed(pose)}) or velocity ({listed(velocity)}): "
-            "add the columns or map them by a column map."
+            f"position with attitude ({listed(pose)}) or velocity ({listed(velocity)}, for whose rates "
+            "the attitude may stand): add the columns or map them by a column map."
         )
     for name in hollow:
         file.notes.append(f"Column {file.label(name)} has no value and counts as not measured.")
