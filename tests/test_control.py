@@ -1,6 +1,5 @@
 """Paths, feedforward, feedback and learning under way."""
 
-import json
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -8,17 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import typer
 from scipy.interpolate import CubicSpline
-from typer.testing import CliRunner
 
 import jaxmarine as jm
-from experiments import tethra_control
 from jaxmarine import control
 from jaxmarine.control import _learner
 from jaxmarine.physics import rotation, to_euler
-
-from .conftest import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -286,39 +280,3 @@ def test_an_update_is_taken_only_where_it_predicts_better(tethra, monkeypatch):
         offer(poisoned)
         after = learner.update(better, log.between(27.0, 29.9), ahead)
         assert word in after.verdict and after.vehicle is tethra
-
-
-# --- the study ------------------------------------------------------------------------------------
-
-
-def test_the_page_says_what_was_found():
-    found = json.loads((tethra_control.HERE / "results.json").read_text())
-    noisy = [one for one in found["summary"] if one["case"] != "I"]
-    assert {one["seeds"] for one in noisy} == {5}
-    assert tethra_control.markdown(found) in (ROOT / "experiments" / "README.md").read_text()
-
-
-@pytest.mark.slow
-def test_a_quick_study_learns_the_changed_damping(tmp_path):
-    app = typer.Typer()
-    app.command()(tethra_control.main)
-    result = CliRunner().invoke(app, ["--out", str(tmp_path), "--quick"], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    results = json.loads((tmp_path / "results.json").read_text())
-    found = {(row["case"], row["model"]): row for row in results["summary"]}
-    # From ideal data both are exact, and a tenth too much of everything is decimetres off.
-    for name in tethra_control.TRAJECTORY, tethra_control.ML:
-        assert max(found["I", name]["rms_m"]) < 1e-3
-    assert max(found["I", "all parameters +10 %"]["rms_m"]) > 0.1
-    # Beside a network of two units the classical terms learn the changed damping as well.
-    for name in tethra_control.TRAJECTORY, tethra_control.NETWORK:
-        late = {words: found["III, late", f"{name}, {words}"] for words in ("stale", "learning")}
-        assert late["learning"]["velocity_rms"] < 0.05 * late["stale"]["velocity_rms"]
-    # Feedback alone holds the craft within decimetres; the model takes most of the rest away.
-    pd, both = (found["augmented", name]["rms_m"] for name in ("PD", "PD and exact model"))
-    assert np.linalg.norm(both) < 0.5 * np.linalg.norm(pd)
-    assert (tmp_path / "results.md").read_text().count("|") > 50
-    numbers = [f"figure_5_{k}" for k in range(7, 14)]
-    for name in (*numbers, "case_iii_velocity", "augmented"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
-        assert (tmp_path / f"{name}.svg").stat().st_size > 10_000
