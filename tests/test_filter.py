@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -282,6 +283,16 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
         slope / np.sqrt(curvature), abs=0.3
     )
     assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
+
+
+def test_a_path_that_runs_away_is_no_step(disturbed):
+    """A measured log led to a path at 1e119 with a likelihood of exp(4e99), both of them finite."""
+    bench, model = disturbed
+    likely = bench._likelihood(model, model.beside.force)
+    z, path, solver = jnp.zeros(SLOTS), model.beside.path, _filter.FilterGaussNewton()
+    found = _filter._improbable((z, path), likely)[1]
+    far = eqx.tree_at(lambda f: f.path.delta, found, found.path.delta.at[3, 11].set(1e50))
+    assert solver.usable(found) and not solver.usable(far)
 
 
 def test_a_log_with_a_gap_is_two_logs(disturbed):

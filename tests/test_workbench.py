@@ -4,6 +4,7 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +20,7 @@ from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots, wave_start
 from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
-from jaxmarine.diagnosis._prepare import named_apart, rescaled, sharpened, workbench
+from jaxmarine.diagnosis._prepare import fitted, named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import _joined, _trials, search
@@ -45,7 +46,7 @@ from jaxmarine.fitting import predict
 from jaxmarine.fitting._kinematics import kinematics
 from jaxmarine.logs import Log
 from jaxmarine.physics import thrust
-from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.simulation import initial_state, simulate, substeps
 from jaxmarine.vehicle import Damping, Placed, Thrusters
 from jaxmarine.vehicle_io import suspect_named
 from tests.boats import NOISE, boat, record, steps
@@ -54,6 +55,17 @@ from tests.boats import NOISE, boat, record, steps
 FEW = (ThrusterGain, LinearDamping, QuadraticDamping, AddedMass)
 NOTHING = Thrusters(**{f.name: jnp.zeros((0, 3) if f.name in ("position", "direction") else 0)
                        for f in dataclasses.fields(Thrusters)})  # fmt: skip
+
+
+def test_a_vehicle_that_is_stiffer_than_its_file_is_integrated_finely():
+    """Yaw is damped eight times as much, for which steps that suit the file are too long."""
+    stiff = eqx.tree_at(lambda v: v.damping.linear, boat(), boat().damping.linear.at[5, 5].mul(8.0))
+    log = record(stiff, steps(600))
+    coarse = workbench(boat(), (log,), FEW, None)
+    bench, model = fitted(coarse, coarse.start())
+    found = refiled(boat(), bench.base, model.z)
+    assert coarse.split < substeps(found, log.dt) <= bench.split
+    assert float(found.damping.linear[5, 5]) == pytest.approx(float(stiff.damping.linear[5, 5]), rel=0.1)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from ._knots import missing_wrench
 from ._learn import learn
 from ._model import Model, Workbench
 from ._plausible import excesses, told
-from ._prepare import Opened, opened_with, sharpened
+from ._prepare import Opened, fitted, opened_with, sharpened
 from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
@@ -154,8 +154,7 @@ def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, F
 
     And what it found before that and did not find again.
     """
-    bench = opened.bench
-    begun = bench.fitted(_begun(opened))
+    bench, begun = fitted(opened.bench, _begun(opened))
     rival = Unnamed(bench, begun.beside)
     found = search(bench, begun, progress, rival.beats)
     sharper = sharpened(bench, found.model)

@@ -288,6 +288,10 @@ class Workbench:
         own = {name: getattr(self, name) for name in _OWN}
         return Workbench(**(own | other))
 
+    def finer(self, split: int) -> "Workbench":
+        """The same with each hold integrated in so many steps."""
+        return self._like(split=split)
+
     @functools.cached_property
     def fine(self) -> Fine:
         """The windows cut up for the filter."""
@@ -941,10 +945,17 @@ class Workbench:
         """Reduced statistics of every parameter of the catalogue at the model, then of members that begin.
 
         Of each group of windows; of each window, where there are not many. Beside a disturbance the
-        chi-square is minus twice the logarithm of the likelihood of each given all before it.
+        chi-square is minus twice the logarithm of the likelihood of each given all before it. Raises
+        `InputError` where the vehicle runs away along the logs.
         """
-        if model.beside is None:
-            return self._screening(model)[0]
+        found = self._screening(model)[0] if model.beside is None else self._innovated(model)
+        if not np.isfinite(found.h).all():
+            raise runaway(self.data.logs[0].name, self.vehicle.name)
+        return found
+
+    def _innovated(self, model: Model) -> Reduced:
+        """The statistics of `screen` beside a disturbance."""
+        assert model.beside is not None
         problem = self.problem(model.members, self.fine.problem)
         groups = jnp.asarray(self.fine.group)
         found = innovations(

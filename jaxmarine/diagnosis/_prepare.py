@@ -10,11 +10,22 @@ from .._errors import InputError
 from .._progress import FITTING, Progress, silent
 from .._types import ALL_CHANNELS, AXES, MOTION
 from ..effects import AbstractEffect, ExchangedThrusters
-from ..fitting import GrossError, answers, contradiction, cut, misconnected, noise_of, reviewed, settled
+from ..fitting import (
+    FINEST,
+    GrossError,
+    answers,
+    contradiction,
+    cut,
+    misconnected,
+    noise_of,
+    reviewed,
+    settled,
+)
 from ..logs import Log, Note, alike
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
 from ._criteria import DEFAULT, Criteria
+from ._filed import refiled
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
 from ._model import SLOTS, Member, Model, Workbench, same_log
 from ._saturated import saturate
@@ -277,6 +288,21 @@ def rescaled(bench: Workbench, begun: Model) -> Workbench:
     for model in (bench.frozen(begun), begun):
         bench = _weighted(bench, free, bench.noise_left(bench.refine(model)))
     return bench
+
+
+def fitted(bench: Workbench, model: Model) -> tuple[Workbench, Model]:
+    """The model refined, on a workbench that integrates as finely as it then asks for.
+
+    A vehicle may be stiffer than its file, and runs away in steps that suit the file.
+    """
+    finest = FINEST * bench.split
+    while True:
+        model = bench.fitted(model)
+        now = refiled(bench.vehicle, bench.base, model.z[: len(bench.base)])
+        needed = min(substeps(now, bench.data.hold, _speeds(bench.data.logs)), finest)
+        if needed <= bench.split:
+            return bench, model
+        bench = bench.finer(needed)
 
 
 def sharpened(bench: Workbench, model: Model) -> Workbench | None:

@@ -130,6 +130,7 @@ from ._subnets import (
 from ._subnets import (
     identify_by_networks as identify_by_networks,
 )
+from ._trajectory import FINEST as FINEST
 from ._trajectory import Segments as Segments
 from ._trajectory import segments as segments
 from ._uncertainty import Combination as Combination

@@ -747,7 +747,9 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
     """
 
     def usable(self, found: Innovations) -> Bool[Array, ""]:
-        return jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all()
+        # Of a path that runs away rounding makes anything, a likelihood without bounds included.
+        stays = (jnp.abs(found.path.delta[:, 6:]) < LOOSE).all()
+        return jnp.isfinite(found.h).all() & jnp.isfinite(found.path.delta).all() & stays
 
     def moved(
         self, y: tuple[Array, Path], found: Innovations, args: Float[Array, " z"], damping: Float[Array, ""]
