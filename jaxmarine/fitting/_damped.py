@@ -98,6 +98,7 @@ class DampedGaussNewton(optx.AbstractMinimiser[Y, Found, State]):
                 "steps": state.steps,
                 "predicted": state.trust.predicted,
                 "damping": state.trust.damping,
+                "taken": state.trust.taken,
             },
         )
 

@@ -787,7 +787,9 @@ def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damp
     y, found, stats = minimise_outside(
         lambda y: _improbable(y, task), FilterGaussNewton(), (z, path), task.precision, options
     )
-    return Likeliest(y[0], found.path, stats["cost"], stats["predicted"], stats["damping"])
+    # Along a path that was tried and not taken the craft may run away.
+    path = found.path if stats["taken"] else y[1]
+    return Likeliest(y[0], path, stats["cost"], stats["predicted"], stats["damping"])
 
 
 def promise(task: Likelihood, z, path: Path, damping: float) -> Float[Array, ""]:

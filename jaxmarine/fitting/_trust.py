@@ -27,6 +27,11 @@ class Trust(eqx.Module):
         big = jnp.asarray(jnp.inf, jnp.result_type(float))
         return cls(big, big, jnp.asarray(damping, big.dtype), jnp.asarray(2.0, big.dtype), jnp.array(True))
 
+    @property
+    def taken(self) -> Bool[Array, ""]:
+        """Whether the last step was."""
+        return self.growth <= 2.0
+
     def judged(self, cost: Float[Array, ""]) -> tuple[Bool[Array, ""], Self]:
         """Whether the pending step is taken, and the trust after it; a cost that is not finite never is."""
         cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
