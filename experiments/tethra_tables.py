@@ -580,8 +580,9 @@ def remarks(results: Mapping[str, Any]) -> str:
         f"{middle(TEXT, 'LS with Coriolis')} %, with the noisy accelerations on the left (inverse LS) by "
         f"{middle(TEXT, 'inverse LS')} %. Collisions find little left to spoil: {middle(HIT, LS)} %.",
         f"More data (sec. 6.2.2) are better in {wins[0]} to {wins[-1]} of {len(plain)} dives.",
-        "Rounding decides where the networks' training ends. With forces that are off by a part in 10^12 "
-        f"the largest error of M of a dive changes by {100 * np.median(np.abs(rounded - 1)):.2g} % in the "
+        "Rounding decides where the networks' training ends, so that their rows vary between machines. With "
+        "forces that are off by a part in 10^12, as sums are from one machine to another, the "
+        f"largest error of M of a dive changes by {100 * np.median(np.abs(rounded - 1)):.2g} % in the "
         f"median, but in {far.sum()} of {len(far)} dives by more than a tenth ({rounded.min():.2f} to "
         f"{rounded.max():.2f} times).",
         f"In collisions {min(rejected)} to {max(rejected)} of {windows} windows are rejected.",
