@@ -88,7 +88,7 @@ STYLES |= {FIT: ("C2", "-."), LS: ("C3", ":"), TRUE: ("0.6", "-")}
 RUNS = {"train": "training", "test": "test"}
 WHOSE = {PRINTED: "thesis", PERCEPTRON: "thesis", AS_PRINTED: "thesis", BY_SPREAD: "thesis"}
 WHOSE |= {ALONE: "thesis, growth ours", RBF: "thesis, growth ours", BY_WORST: "ours, growth the thesis'"}
-WHOSE |= {FIT: "ours", LS: "ours", TRUE: ""}
+WHOSE |= {FIT: "ours", LS: "ours", TRUE: "truth"}
 # Which of two models is less off, on which runs, over which horizons.
 BOTH = ("5 s", "10 s")
 CLAIMS = (

@@ -94,6 +94,17 @@ def test_the_pages_have_the_numbers_of_the_study():
     assert all(row["false_per_1000"][0] <= 1.0 for row in rows)
     assert all(row["soon_share"][0] >= 0.95 for row in rows if row["step"] >= study.ALONE)
     alone = next(row for row in rows if row["step"] == study.ALONE and not row["heavy"])
+    study_page = " ".join((ROOT / "experiments" / "README.md").read_text().split())
+    hull, thrusters, scatter = (
+        f"{min(part):.3f} to {max(part):.3f}"
+        for part in (alone["spread"][:4], alone["spread"][4:], alone["scatter"])
+    )
+    assert (
+        f"of steps of {study.ALONE:g} errors found {hull} and {thrusters} (means over fleets)" in study_page
+    )
+    assert f"scatter from dive to dive {study.SCATTER:g}, found {scatter}." in study_page
+    by_itself, by_sisters = alone["first_dive_error"]
+    assert f"first dive {by_sisters:.3f} instead of {by_itself:.3f} (root mean square" in study_page
     page = (ROOT / "docs" / "fleets.md").read_text()
     assert f"{alone['false_per_1000'][0]:.2f} false alarms in 1000 dives" in page
     assert f"{alone['soon']} of {alone['defects']} defects" in page

@@ -318,9 +318,31 @@ def test_the_page_says_what_the_studies_found():
     assert fouled_propeller.table(found["runs"], fouled_propeller.craft().thruster_names) in page
     worst = max(run["star"]["learned_rms_grid"] for run in found["runs"])
     assert len(found["runs"]) == 5 and found["met"] == (worst <= fouled_propeller.TARGET)
+    chi2 = [run["reduced_chi2"] for run in found["runs"] if not run["converged"]]
+    assert len(chi2) == 4
+    assert f"60 steps were over (reduced chi-squares of {min(chi2):.3f} to {max(chi2):.3f})." in page
     found = json.loads((nonlinear_damping.HERE / "results.json").read_text())
     assert len(found["runs"]) == 12 and nonlinear_damping.claims(found["runs"]) == found["claims"]
     assert nonlinear_damping.tables(found["runs"]) in page and claim_table(found["claims"]) in page
+    said = " ".join(page.split())
+
+    def off(where: str, *models: str) -> np.ndarray:
+        """Metres of the best of these models after 10 s, log by log."""
+        runs = found["runs"]
+        return np.array([min(run[where][model]["distance_10s"] for model in models) for run in runs])
+
+    classical, network = ("classical, one_step", "classical, trajectory"), "hybrid, trajectory"
+    gain = off("inside", *classical) / off("inside", network)
+    assert (
+        f"{np.median(gain):.1f} times in the median ({gain.min():.2f} to {gain.max():.2f} against the better"
+    ) in said
+    far = off("beyond", classical[1]) / off("beyond", network)
+    assert f"fitted by trajectories is: {far.min():.2f} to {far.max():.2f} times better." in said
+    near, far = (off(w, "lumped, trajectory") / off(w, "single, trajectory") for w in ("inside", "beyond"))
+    assert (
+        f"A lumped network is {np.median(near):.1f} times worse within ({near.min():.2f} to "
+        f"{near.max():.2f}); beyond, that is not decided ({far.min():.2f} to {far.max():.2f})."
+    ) in said
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ class CrossDamping(AbstractHull):
     pitch, with the positive sign of damping. Units: N or N m, by m/s or rad/s of either velocity. Those with
     j = k are in `damping.quadratic`. A term between axes may feed energy, which others must take.
 
-    Source: after Fossen (2021), on nonlinear damping of ships; Skjetne, Fossen and Kokotovic (2004).
+    Source: after Fossen (2021), on nonlinear damping of ships, and Skjetne, Fossen and Kokotovic (2004).
     """
 
     key: ClassVar[str] = "cross_damping"

@@ -28,7 +28,7 @@ class CrossFlowTable(Table):
 class CrossFlow(AbstractHull):
     r"""Strip theory: $Y = -\frac12 \rho d C \int |v + x r| (v + x r) dx$, N with x inside. It has no column.
 
-    Source: after Fossen (2021), on cross-flow drag; Faltinsen (1990).
+    Source: after Fossen (2021), on cross-flow drag, and Faltinsen (1990).
     """
 
     key: ClassVar[str] = "cross_flow"

@@ -82,7 +82,7 @@ class Propellers(AbstractActuators):
     b = drift - wake_arm r / U [rad] the drift of the flow at x = `wake_arm`. None: no propeller has it.
 
     Source: after Yasukawa and Yoshimura (2015), J. Mar. Sci. Technol. 20, 37-52 (standard MMG
-    method), and Fossen (2021); the wake in turns: Hirano (1980), J. Soc. Nav. Archit. Japan 147, where
+    method), and Fossen (2021); the wake in turns: after Hirano (1980), J. Soc. Nav. Archit. Japan 147, where
     wake_decay is 4.
     """
 

@@ -119,7 +119,7 @@ class HullLift(WrenchEffect):
 
     Neutral: 0. The forces oppose the drift going ahead and astern: with u in the place of |u| they would feed
     energy to a craft that goes astern. The moments change sign with u, as the Munk moment does.
-    Source: after Fossen (2021), on lift and Munk moment; Prestero (2001).
+    Source: after Fossen (2021), on lift and Munk moment, and Prestero (2001).
     """
 
     name = "hull_lift"

@@ -157,7 +157,7 @@ class Check:
 def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -> Check:
     """How strongly and where logs excite a vehicle, which coefficients they determine, what to do next.
 
-    Thesis, sec. 5.3, asks for such an evaluation of a data set before it is used.
+    After the thesis, sec. 5.3, which recommends tools that evaluate a data set.
 
     - `logs`: one or several, in the order in which they were recorded.
     - `window` [s]: length of the windows, as in `fit`.

@@ -149,8 +149,8 @@ def fit_samples(
     - `max_steps`: epochs, steps that were not taken included.
 
     For residuals of many samples in few unknowns, such as small networks; see `levenberg_marquardt` for
-    any others. Source: Hagan and Menhaj (1994), IEEE Trans. Neural Networks 5(6); thesis, app. A with
-    the sign of (A.28) mended.
+    any others. Source: after Hagan and Menhaj (1994), IEEE Trans. Neural Networks 5(6); thesis, app. A with
+    the sign of (A.28) mended, and its Jacobian transposed.
     """
     _, unravel = jax.flatten_util.ravel_pytree(jax.tree.map(lambda a: a[0], starts))
     solver = NormalLevenbergMarquardt(rtol=rtol)

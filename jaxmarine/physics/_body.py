@@ -48,7 +48,7 @@ class Load(eqx.Module):
     def restoring(self, down: Vector3) -> Wrench:
         """g(eta), on the left-hand side; `down` is the unit vector downwards in body axes.
 
-        after Fossen (2021); row 6 has the sign of moments about `o`, which the thesis' (4.7) has not.
+        after Fossen (2021); thesis (4.6), of which its (4.7) prints y_b for y_g in row 6.
         """
         force = (self.weight - self.buoyancy) * down
         moment = jnp.cross(self.weight_moment - self.buoyancy_moment, down)
