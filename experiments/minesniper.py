@@ -141,17 +141,17 @@ DECAY = 1e-6  # of weights, in samples of unit force: without any, rounding deci
 class Size:
     """Lengths of the two training runs and of the test run [s], seconds between starts, steps of the fit.
 
-    - `alone`: with the networks that stand for the whole damping.
+    - `others`: with the networks that stand for the whole damping, and those grown in yet other ways.
     """
 
     train: float = 25.0
     test: float = 15.0
     between: float = 2.5
     steps: int = 30
-    alone: bool = True
+    others: bool = True
 
 
-QUICK = Size(train=10.0, test=10.0, steps=15, alone=False)
+QUICK = Size(train=10.0, test=10.0, steps=15, others=False)
 HERE = Path(__file__).parent / "sniper"
 
 
@@ -312,14 +312,17 @@ def identified(
     grown = time.process_time() - began
     fit = trajectory_loss(printed, runs, size.steps)
     squares, ridge = least_squares(nu, force, parts)
+    others = {}
+    if size.others:
+        others = alone(runs, parts, seed)
+        others[BY_WORST] = printed.place(jm.Placed(regrown(term, nu, force)))
+        others[BY_SPREAD] = printed.place(jm.Placed(as_printed(nu, force, spread_width)))
     vehicles = {
         PRINTED: printed,
-        **(alone(runs, parts, seed) if size.alone else {}),
+        **others,
         LS: squares,
         RBF: printed.place(jm.Placed(term)),
-        BY_WORST: printed.place(jm.Placed(regrown(term, nu, force))),
         AS_PRINTED: printed.place(jm.Placed(as_printed(nu, force, lambda _: SIGMA))),
-        BY_SPREAD: printed.place(jm.Placed(as_printed(nu, force, spread_width))),
         FIT: fit.vehicle,
         TRUE: truth(),
     }

@@ -27,6 +27,9 @@ from ._windows import Records, Windows
 # Standard deviation of the prior on a window's initial state [m, rad, m/s, rad/s]. The loose one only
 # keeps the elimination regular where a component was not measured; the tight one holds locked axes.
 LOOSE, TIGHT = 1e3, 1e-6
+# A window begins no farther from the velocity that was guessed than so many times the root mean square of the
+# log's: at rest that is the scatter of the guess itself, which must not hold it.
+SWIFT = 3.0
 
 # Windows that are rolled out together at most, so that memory hardly grows with the length of the logs.
 CHUNK = 640
@@ -81,14 +84,14 @@ def start_precision(
     """Inverse variance of the prior on the initial state, for free (1) and locked (0) axes.
 
     - `speeds`: root mean squares of the craft's velocities [m/s, rad/s]: where no sensor holds it, a window
-      begins no farther than that from the velocity that was guessed.
+      begins no farther than `SWIFT` times that from the velocity that was guessed.
     """
     surge, sway, heave, roll, pitch, yaw = free
     level = max(surge, sway)
     moves = [level, level, max(heave, level * max(roll, pitch)), roll, pitch, yaw, *free]
     loose = np.full(12, LOOSE)
     if speeds is not None:
-        loose[6:] = np.where(speeds > TIGHT, np.minimum(speeds, LOOSE), LOOSE)
+        loose[6:] = np.where(speeds > TIGHT, np.minimum(SWIFT * speeds, LOOSE), LOOSE)
     return np.where(np.array(moves) > 0, loose, TIGHT) ** -2.0
 
 
