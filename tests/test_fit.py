@@ -143,7 +143,13 @@ def test_no_window_begins_faster_than_the_craft_goes():
     noise = np.where(np.isfinite(seen).any(axis=0), 100 * np.repeat([*NOISE.values(), 1.0, 1.0], 3), np.nan)
     data = cut(stiff, (log,), noise, 4.0)
     task = _trajectory.window_task(
-        freed, units(freed, scales), data, _trajectory.segments(stiff, (log,)), 1, False
+        freed,
+        units(freed, scales),
+        data,
+        _trajectory.segments(stiff, (log,)),
+        1,
+        False,
+        _trajectory.rms_speeds(data.squares),
     )
     held = eqx.tree_at(lambda t: t.affine.columns, task, jnp.zeros_like(task.affine.columns))
     found = _trajectory.refine_windows(held, jnp.zeros(3), jnp.zeros((data.windows.count, 12)), 100)

@@ -26,7 +26,18 @@ from ._noise import noises_of
 from ._review import reviewed
 from ._rollout import predict
 from ._solver import LEAST_DAMPING, Task, followed, softened, step_of, worth_of
-from ._trajectory import FINE, FINEST, ROUGH, ROUGH_STEPS, WEIGHINGS, drawn, pretended, segments, window_task
+from ._trajectory import (
+    FINE,
+    FINEST,
+    ROUGH,
+    ROUGH_STEPS,
+    WEIGHINGS,
+    drawn,
+    pretended,
+    rms_speeds,
+    segments,
+    window_task,
+)
 from ._trust import Trust
 from ._weights import Products, changes, largest_of, overdispersion_of, scaled, settled
 from ._windows import cut
@@ -70,15 +81,18 @@ class Share:
 
     def cut(
         self, noise: np.ndarray, window: float, dt: float, later: Sequence[str]
-    ) -> tuple[float, int, int]:
-        """Cuts the windows: the longest hold [s], their count and steps; `later`: logs after these."""
+    ) -> tuple[float, int, int, tuple[np.ndarray, int]]:
+        """Cuts windows: the longest hold [s], their count, steps and squares; `later`: logs after these."""
         self.acting = segments(self.vehicle, self.logs, later)
         self.data = cut(self.vehicle, self.logs, noise, window, segments=self.acting.of_samples, dt=dt)
-        return self.data.hold, self.data.windows.count, int(self.data.windows.step.shape[1])
+        windows = self.data.windows
+        return self.data.hold, windows.count, int(windows.step.shape[1]), self.data.squares
 
-    def begin(self, freed: Freed, units: Units, split: int, held: bool) -> tuple[np.ndarray, np.ndarray]:
+    def begin(
+        self, freed: Freed, units: Units, split: int, held: bool, speeds: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Begins with all windows as they were measured; what channels change by, and how many windows."""
-        self.task = window_task(freed, units, self.data, self.acting, split, held)
+        self.task = window_task(freed, units, self.data, self.acting, split, held, speeds)
         self.own = np.asarray(self.task.problem.windows.weight)
         self.delta = jnp.zeros((self.data.windows.count, 12))
         return changes(np.asarray(self.task.problem.windows.measured), self.own)
@@ -179,12 +193,12 @@ def fit_shares(
     dt = float(np.median([one for look in looks for one in look["dt"]]))
     names = [look["names"] for look in looks]
     later = [([name for own in names[i + 1 :] for name in own],) for i in range(len(names))]
-    holds, counts, lengths = zip(*shares.ask("cut", noise, window, dt, each=later), strict=True)
-    hold = max(holds)
+    holds, counts, lengths, squares = zip(*shares.ask("cut", noise, window, dt, each=later), strict=True)
+    hold, fast = max(holds), rms_speeds(*squares)
     z, best, steps = np.zeros(len(units.precision)), None, 0
     split = substeps(freed.vehicle, hold)
     while True:
-        now = _solved(freed, units, shares, counts, max(lengths), z, split, dt, max_steps, held, weigh)
+        now = _solved(freed, units, shares, counts, max(lengths), z, split, dt, max_steps, held, weigh, fast)
         steps += now.steps
         now = dataclasses.replace(now, steps=steps)
         if not now.finite:
@@ -208,9 +222,10 @@ def _solved(
     max_steps: int,
     held: bool,
     weigh: bool,
+    fast: np.ndarray,
 ) -> Estimate:
     """Solves with weights that the solution confirms, as in one process (`_trajectory`)."""
-    begun = shares.ask("begin", freed, units, split, held)
+    begun = shares.ask("begin", freed, units, split, held, fast)
     most = largest_of(*np.sum(begun, axis=0)) if weigh else np.ones(len(begun[0][0]))
     factor, last, steps, weighings = most, not weigh, 0, 0
     while True:

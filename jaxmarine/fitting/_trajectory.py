@@ -92,7 +92,7 @@ def fit_trajectory(
         begun = freed(jnp.asarray(np.asarray(freed.start) + units.map @ z))
         split = max(split, substeps(begun, data.hold))
     while True:
-        task = window_task(freed, units, data, acting, split, held)
+        task = window_task(freed, units, data, acting, split, held, rms_speeds(data.squares))
         solved = _solved(task, jnp.asarray(z), logs[0].dt, max_steps, reject, weigh)
         steps += solved.steps
         now = _estimate(freed, units, data, task, solved, steps)
@@ -174,14 +174,32 @@ def _promise(task: Task, refined: Refined) -> float:
     return 0.5 * float(slope @ np.linalg.lstsq(curvature, slope)[0])
 
 
-def window_task(freed: Freed, units: Units, data: Cut, acting: Segments, split: int, held: bool) -> Task:
-    """The task of all windows; `held`: each begins in the state that was measured."""
+def rms_speeds(*squares: tuple[Float[np.ndarray, "6"], int]) -> Float[np.ndarray, "6"]:
+    """Root mean squares of the velocities with which the windows begin, of several cuts' `squares`."""
+    total, count = np.sum([one[0] for one in squares], axis=0), sum(one[1] for one in squares)
+    return np.sqrt(total / max(count, 1))
+
+
+def window_task(
+    freed: Freed,
+    units: Units,
+    data: Cut,
+    acting: Segments,
+    split: int,
+    held: bool,
+    speeds: Float[np.ndarray, "6"],
+) -> Task:
+    """The task of all windows.
+
+    - `held`: each begins in the state that was measured.
+    - `speeds`: of the craft in all windows, these and others, see `start_precision`.
+    """
     vehicle, count = freed.vehicle, len(acting.gates)
     problem = Problem(
         FreedPlant(freed, jnp.asarray(acting.gates)),
         data.records,
         data.windows,
-        jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free, data.speeds)),
+        jnp.asarray(start_precision(np.zeros(6) if held else vehicle.free, speeds)),
         measured_channels(data.windows),
         jnp.asarray(split),
         axes=vehicle.axes,
