@@ -149,7 +149,7 @@ def test_no_window_begins_faster_than_the_craft_goes():
         _trajectory.segments(stiff, (log,)),
         1,
         False,
-        _trajectory.rms_speeds(data.squares),
+        data.speeds,
     )
     held = eqx.tree_at(lambda t: t.affine.columns, task, jnp.zeros_like(task.affine.columns))
     found = _trajectory.refine_windows(held, jnp.zeros(3), jnp.zeros((data.windows.count, 12)), 100)

@@ -885,8 +885,7 @@ class Workbench:
         A prior that the file states itself, which may be wide, allows no more than that of a usual file.
         """
         met, theta = len(self.stretches(model.members).passed), self.theta(model)
-        # Starts of windows, root mean square.
-        speed = np.sqrt((np.asarray(self.data.windows.velocity) ** 2).mean(axis=0))
+        speed = self.data.speeds
         plant_of = self.problem(model.members).plant_of
         braking = np.array(_braking(plant_of, jnp.asarray(theta), jnp.asarray(speed))[:met])
         for c in self.base:

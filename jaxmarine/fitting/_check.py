@@ -27,7 +27,7 @@ from ._noise import noise_of
 from ._review import reviewed
 from ._rollout import predict
 from ._solver import Refined, Task, refine_windows
-from ._trajectory import FINE, ROUGH, rms_speeds, segments, spurious, window_task
+from ._trajectory import FINE, ROUGH, segments, spurious, window_task
 from ._uncertainty import UNDETERMINED, Combination, named
 from ._weights import largest, overdispersion, scaled
 from ._windows import cut
@@ -182,7 +182,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     split = substeps(vehicle, data.hold)
     count = len(freed.names)
     units = Units(np.eye(count), _HELD / scales.size**2, np.ones(count, bool))
-    task = window_task(freed, units, data, acting, split, False, rms_speeds(data.squares))
+    task = window_task(freed, units, data, acting, split, False, data.speeds)
     estimated = np.isfinite(noise) & ~vehicle.states_noise(len(noise))
     weighed = _Weighed(task, estimated, logs[0].dt)
     begin = jnp.zeros(count), jnp.zeros((data.windows.count, 12))

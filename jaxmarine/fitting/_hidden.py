@@ -30,7 +30,7 @@ from ._free import Freed, Select, named_leaves, stated_widths
 from ._one_step import OneStep, one_step, weighed_by_scatter
 from ._rollout import predict
 from ._solver import Task, refine_windows
-from ._trajectory import rms_speeds, segments, window_task
+from ._trajectory import segments, window_task
 from ._weights import scaled
 from ._windows import cut
 
@@ -207,7 +207,7 @@ def by_windows(
     acting = segments(freed.vehicle, logs)
     data = cut(freed.vehicle, logs, noise, window, segments=acting.of_samples)
     split = max(substeps(freed(jnp.asarray(raw)), data.hold) for raw in (freed.start, near.raw))
-    task = window_task(freed, units, data, acting, split, held, rms_speeds(data.squares))
+    task = window_task(freed, units, data, acting, split, held, data.speeds)
     # A window of another log that begins at the same time as one that was left out is no loss.
     kept = ~np.isin(data.starts, near.rejected)
     own = np.asarray(task.problem.windows.weight)

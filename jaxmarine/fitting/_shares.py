@@ -34,7 +34,6 @@ from ._trajectory import (
     WEIGHINGS,
     drawn,
     pretended,
-    rms_speeds,
     segments,
     window_task,
 )
@@ -81,12 +80,12 @@ class Share:
 
     def cut(
         self, noise: np.ndarray, window: float, dt: float, later: Sequence[str]
-    ) -> tuple[float, int, int, tuple[np.ndarray, int]]:
-        """Cuts windows: the longest hold [s], their count, steps and squares; `later`: logs after these."""
+    ) -> tuple[float, int, int, np.ndarray]:
+        """Cuts windows: the longest hold [s], their count, steps and speeds; `later`: logs after these."""
         self.acting = segments(self.vehicle, self.logs, later)
         self.data = cut(self.vehicle, self.logs, noise, window, segments=self.acting.of_samples, dt=dt)
         windows = self.data.windows
-        return self.data.hold, windows.count, int(windows.step.shape[1]), self.data.squares
+        return self.data.hold, windows.count, int(windows.step.shape[1]), self.data.speeds
 
     def begin(
         self, freed: Freed, units: Units, split: int, held: bool, speeds: np.ndarray
@@ -193,12 +192,14 @@ def fit_shares(
     dt = float(np.median([one for look in looks for one in look["dt"]]))
     names = [look["names"] for look in looks]
     later = [([name for own in names[i + 1 :] for name in own],) for i in range(len(names))]
-    holds, counts, lengths, squares = zip(*shares.ask("cut", noise, window, dt, each=later), strict=True)
-    hold, fast = max(holds), rms_speeds(*squares)
+    holds, counts, lengths, each = zip(*shares.ask("cut", noise, window, dt, each=later), strict=True)
+    hold, speeds = max(holds), np.sqrt(np.average(np.square(each), axis=0, weights=counts))
     z, best, steps = np.zeros(len(units.precision)), None, 0
     split = substeps(freed.vehicle, hold)
     while True:
-        now = _solved(freed, units, shares, counts, max(lengths), z, split, dt, max_steps, held, weigh, fast)
+        now = _solved(
+            freed, units, shares, counts, max(lengths), z, split, dt, max_steps, held, weigh, speeds
+        )
         steps += now.steps
         now = dataclasses.replace(now, steps=steps)
         if not now.finite:
@@ -222,10 +223,10 @@ def _solved(
     max_steps: int,
     held: bool,
     weigh: bool,
-    fast: np.ndarray,
+    speeds: np.ndarray,
 ) -> Estimate:
     """Solves with weights that the solution confirms, as in one process (`_trajectory`)."""
-    begun = shares.ask("begin", freed, units, split, held, fast)
+    begun = shares.ask("begin", freed, units, split, held, speeds)
     most = largest_of(*np.sum(begun, axis=0)) if weigh else np.ones(len(begun[0][0]))
     factor, last, steps, weighings = most, not weigh, 0, 0
     while True:

@@ -92,7 +92,7 @@ def fit_trajectory(
         begun = freed(jnp.asarray(np.asarray(freed.start) + units.map @ z))
         split = max(split, substeps(begun, data.hold))
     while True:
-        task = window_task(freed, units, data, acting, split, held, rms_speeds(data.squares))
+        task = window_task(freed, units, data, acting, split, held, data.speeds)
         solved = _solved(task, jnp.asarray(z), logs[0].dt, max_steps, reject, weigh)
         steps += solved.steps
         now = _estimate(freed, units, data, task, solved, steps)
@@ -172,12 +172,6 @@ def _promise(task: Task, refined: Refined) -> float:
     if not np.isfinite(curvature).all():
         return 0.0
     return 0.5 * float(slope @ np.linalg.lstsq(curvature, slope)[0])
-
-
-def rms_speeds(*squares: tuple[Float[np.ndarray, "6"], int]) -> Float[np.ndarray, "6"]:
-    """Root mean squares of the velocities with which the windows begin, of several cuts' `squares`."""
-    total, count = np.sum([one[0] for one in squares], axis=0), sum(one[1] for one in squares)
-    return np.sqrt(total / max(count, 1))
 
 
 def window_task(

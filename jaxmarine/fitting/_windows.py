@@ -77,10 +77,9 @@ class Cut:
     hold: float  # the longest time from a sample of a window to the next [s]
 
     @property
-    def squares(self) -> tuple[Float[np.ndarray, "6"], int]:
-        """Sums of the squared velocities with which windows are guessed to begin, and over how many."""
-        used = np.any(np.asarray(self.windows.weight) > 0, axis=(1, 2))
-        return (np.asarray(self.windows.velocity)[used] ** 2).sum(axis=0), int(used.sum())
+    def speeds(self) -> Float[np.ndarray, "6"]:
+        """Root mean squares of the velocities with which windows are guessed to begin [m/s, rad/s]."""
+        return np.sqrt((np.asarray(self.windows.velocity) ** 2).mean(axis=0))
 
 
 @dataclasses.dataclass(frozen=True)
