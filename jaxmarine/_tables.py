@@ -66,6 +66,12 @@ def pair(value: Any) -> tuple[float, ...]:
     return _row(value, 2, "2 numbers")
 
 
+def _numbers(value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError(f"must be a list of numbers, but is {value!r:.60}.")
+    return tuple(finite(entry) for entry in value)
+
+
 def _matrix3(value: Any) -> tuple[tuple[float, ...], ...]:
     return _square(value, 3, "3 rows of 3 numbers")
 
@@ -80,6 +86,7 @@ def _matrix6(value: Any) -> tuple[tuple[float, ...], ...]:
 
 
 Number = Annotated[float, BeforeValidator(finite)]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(_numbers)]
 Triple = Annotated[tuple[float, float, float], BeforeValidator(_triple)]
 Rows3 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix3)]
 Rows6 = Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix6)]

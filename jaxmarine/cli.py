@@ -413,8 +413,9 @@ _FREE = {
     "thrust": lambda v: v.thrusters.max_thrust,
     "reverse_thrust": lambda v: v.thrusters.max_thrust_reverse,
     "curve": lambda v: v.thrusters.quadratic,
+    "advance_loss": lambda v: v.thrusters.advance_loss,
 }
-_OF_THRUSTERS = ("thrust", "reverse_thrust", "curve")
+_OF_THRUSTERS = ("thrust", "reverse_thrust", "curve", "advance_loss")
 # How wide a prior is where `all` is free and none is given.
 _ALL_PRIOR = 0.3
 # Of hulls under way also this, whether the file has it or not: without it a fit bends damping and added mass.
@@ -463,6 +464,8 @@ def _freed(free, craft):
     has = {one.key for one in craft.actuators}
     lacks = {*kinds} - has
     lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
+    # Of fixed thrusters alone.
+    lacks |= {"advance_loss"} if "swivel" in has else set()
     if free == ["all"]:
         # What a log with a prior can tell of a craft.
         free = [name for name in ("coupling", *_OF_THRUSTERS, *kinds) if name not in lacks]

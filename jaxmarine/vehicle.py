@@ -134,6 +134,7 @@ class Damping(eqx.Module):
 class Thrusters(eqx.Module):
     """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`.
 
+    `advance_loss` [N s/m] is the thrust that each m/s of flow along a thruster takes at full thrust.
     `max_thrust_reverse` [N] is 0 where the file states none: the thruster then gives `max_thrust` backwards
     too, whatever a fit makes of that.
     """
@@ -147,6 +148,7 @@ class Thrusters(eqx.Module):
     saturation: Float[Array, " thrusters"]
     max_thrust_reverse: Float[Array, " thrusters"]
     quadratic: Float[Array, " thrusters"]
+    advance_loss: Float[Array, " thrusters"]
 
     @property
     def reverse(self) -> Float[Array, " thrusters"]:
@@ -302,10 +304,11 @@ class Vehicle(eqx.Module):
         free = jnp.asarray(self.free)
         arms = jnp.cross(self.thrusters.position, self.thrusters.direction)
         allocation = jnp.concatenate([self.thrusters.direction, arms], axis=1).T
+        advance = self.thrusters.advance_loss
         exchanged = self._exchanged(gates)
         if exchanged is not None:
             # A column takes all that is its thruster's; after the other effects, which are the thrusters'.
-            drive, allocation = jax.tree.map(lambda a: a @ exchanged, (drive, allocation))
+            drive, allocation, advance = jax.tree.map(lambda a: a @ exchanged, (drive, allocation, advance))
         return Plant(
             load=load,
             inverse_mass=_inverse_mass(load, free),
@@ -314,6 +317,7 @@ class Vehicle(eqx.Module):
             actuators=actuators,
             direction=allocation[:3].T,
             allocation=allocation,
+            advance=advance,
             current=current,
             wrenches=tuple(e for e in effects if isinstance(e, WrenchEffect)),
             sensors=tuple(e for e in effects if isinstance(e, SensorEffect)),
@@ -356,6 +360,7 @@ class Plant(eqx.Module):
     actuators: tuple[AbstractActuators, ...]
     direction: Float[Array, "thrusters 3"]
     allocation: Float[Array, "6 thrusters"]
+    advance: Float[Array, " thrusters"]
     current: Vector3 | None
     wrenches: tuple[WrenchEffect, ...]
     sensors: tuple[SensorEffect, ...]
@@ -478,6 +483,18 @@ class Plant(eqx.Module):
             out = out - effect(motion)
         return out
 
+    def _in_flow(self, thrust: Float[Array, " thrusters"], nu_r: Velocity) -> Float[Array, " thrusters"]:
+        """What the flow leaves of the thrusters' thrust [N].
+
+        After Fossen (2021), T = T_nn n|n| - T_nu |n| u_a, with the share of full thrust in the place of n.
+        """
+        drive, count = self.drive, len(thrust)
+        most = jnp.where(thrust < 0.0, drive.max_thrust_reverse[:count], drive.max_thrust[:count])
+        along = jnp.abs(apply(self.direction, nu_r[:3]))
+        # What makes a wrench of thrusts makes, transposed, speeds along them of a motion: power is the same.
+        lost = self.advance * jnp.abs(thrust) / most * apply(self.allocation.T, nu_r)
+        return thrust * (1.0 - drive.inflow[:count] * along) - lost
+
     def pushed(
         self,
         acting: Float[Array, " columns"],
@@ -491,8 +508,7 @@ class Plant(eqx.Module):
         - `nu`: velocity over ground, default `nu_r`; `turn`: body to world, default upright and to the north.
         """
         count = self.allocation.shape[-1]
-        thrust, inflow = acting[:count], self.drive.inflow[:count]
-        thrust = thrust * (1.0 - inflow * jnp.abs(apply(self.direction, nu_r[:3])))
+        thrust = self._in_flow(acting[:count], nu_r)
         if not self.actuators:
             return apply(self.allocation, thrust)
         ends = np.cumsum([count, *(len(one.columns) for one in self.actuators)])

@@ -117,6 +117,11 @@ class Thruster(Table):
         exclude_if=lambda quadratic: quadratic == 0.0,
         description=f"a number from {_CURVED[0]:g} to {_CURVED[1]:g}, share of the command that acts as c|c|",
     )
+    advance_loss: Number = Field(
+        default=0.0,
+        exclude_if=lambda loss: loss == 0.0,
+        description="a number, the thrust that 1 m/s of flow past it takes at command 1 [N s/m]",
+    )
     deadband: Number = Field(default=0.0, ge=0, description="a number not below zero [command]")
     lag: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
     delay: Number = Field(default=0.0, ge=0, description="a number not below zero [s]")
@@ -138,6 +143,12 @@ class Thruster(Table):
     @classmethod
     def _unit_axis(cls, swivel: Triple | None) -> tuple[float, ...] | None:
         return None if swivel is None else unit_direction(swivel)
+
+    @pydantic.model_validator(mode="after")
+    def _stands_still(self) -> "Thruster":
+        if self.swivel is not None and self.advance_loss != 0.0:
+            raise ValueError("has `swivel` and `advance_loss`, which is of fixed thrusters; leave out one.")
+        return self
 
 
 class _Sensors(Table):

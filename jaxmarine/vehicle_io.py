@@ -25,7 +25,16 @@ from .vehicle_file import (
 )
 
 # Numbers of a thruster beside its place.
-_OF_THRUSTER = ("max_thrust", "max_thrust_reverse", "quadratic", "deadband", "lag", "delay", "saturation")
+_OF_THRUSTER = (
+    "max_thrust",
+    "max_thrust_reverse",
+    "quadratic",
+    "advance_loss",
+    "deadband",
+    "lag",
+    "delay",
+    "saturation",
+)
 _LEARNED = {cls.name: cls for cls in LEARNED}
 # The networks of a learned term hold some thousand numbers.
 _MOST_ARRAY_BYTES = 100_000_000

@@ -42,6 +42,7 @@ def boat(dof: tuple[str, ...] = PLANAR, sensors: Mapping[str, float] | None = No
             saturation=jnp.ones(3),
             max_thrust_reverse=jnp.zeros(3),
             quadratic=jnp.zeros(3),
+            advance_loss=jnp.zeros(3),
         ),
         density=jnp.asarray(1025.0),
         gravity=jnp.asarray(9.81),

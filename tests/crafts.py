@@ -48,7 +48,7 @@ def brick(**changes) -> Vehicle:
         ),
         added_mass=jnp.diag(jnp.asarray(parts["added"])),
         damping=Damping(jnp.diag(jnp.asarray(parts["linear"])), jnp.diag(jnp.asarray(parts["quadratic"]))),
-        thrusters=Thrusters(jnp.zeros((0, 3)), jnp.zeros((0, 3)), *(jnp.zeros(0),) * 7),
+        thrusters=Thrusters(jnp.zeros((0, 3)), jnp.zeros((0, 3)), *(jnp.zeros(0),) * 8),
         density=jnp.asarray(1025.0),
         gravity=jnp.asarray(9.81),
         placed=(),

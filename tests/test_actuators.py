@@ -463,6 +463,58 @@ def test_damping_between_axes_that_the_file_has_as_zero_is_fitted(tmp_path):
         assert one.std_model < 0.3 * abs(value)
 
 
+DRAG = "[surge_drag]\nspeed = [0.0, 0.2, 0.6, 1.0]\ndrag = [5.0, 2.0, 8.0, 7.0]\n"
+
+
+def test_surge_drag_is_linear_between_its_speeds_and_constant_beyond_them(tmp_path):
+    craft = read(tmp_path, BARE + DRAG)
+    assert craft.command_names == ()
+    plant = craft.plant()
+    # D(0.1) = (5 + 2) / 2, D(0.3) = 2 + 6 / 4, D(0.8) = (8 + 7) / 2; beyond 1 m/s it is 7, astern as ahead.
+    for u, force in (0.1, -0.35), (0.3, -1.05), (0.8, -6.0), (-0.8, 6.0), (1.5, -10.5), (0.0, 0.0):
+        found = plant.pushed(jnp.zeros(0), jnp.array([u, 0.1, 0, 0, 0, 0.4]))
+        np.testing.assert_allclose(found, [force, 0, 0, 0, 0, 0], atol=1e-12)
+    slope = jax.jacfwd(lambda nu: plant.pushed(jnp.zeros(0), nu))(jnp.zeros(6))
+    np.testing.assert_allclose(slope[0, 0], -5.0)
+    jm.save_vehicle(craft, tmp_path / "again.toml")
+    again = jm.load_vehicle(tmp_path / "again.toml")
+    assert all(map(np.array_equal, jax.tree.leaves(craft), jax.tree.leaves(again)))
+
+
+@pytest.mark.parametrize(
+    "wrong", [("0.0, ", ""), ("0.6", "0.1"), (", 7.0", ""), ("2.0, 8", "-2.0, 8"), ("5.0", "nan")]
+)
+def test_surge_drag_is_checked(tmp_path, wrong):
+    with pytest.raises(InputError, match="surge_drag"):
+        read(tmp_path, BARE + DRAG.replace(*wrong))
+
+
+@pytest.mark.slow
+def test_thrust_lost_to_the_flow_and_surge_drag_are_fitted(tmp_path):
+    """Of a boat that went ahead and astern, from a file without the one and with a flat shape."""
+    text = jm.packaged_vehicle("cybership2").read_text()
+    flat = "[surge_drag]\nspeed = [0.0, 0.3, 0.6]\ndrag = [2.0, 2.0, 2.0]\n"
+    file = read(tmp_path, text.replace("[sensors]", flat + "[sensors]"))
+    lossy = eqx.tree_at(lambda v: v.thrusters.advance_loss, file, jnp.array([1.5, 1.0, 0.0]))
+    true = eqx.tree_at(lambda v: v.actuators[0].drag, lossy, jnp.array([3.0, 1.0, 4.0]))
+    t, rng = np.arange(0.0, 600.0, 0.2), np.random.default_rng(3)
+    commands = np.repeat(rng.uniform(-0.9, 0.9, (len(t) // 50, 3)), 50, axis=0) * [1.0, 1.0, 0.2]
+    log = recorded(true, commands, t, seed=2, name="log.csv")
+    held = np.array([np.inf, np.inf, 0.0])
+    fit = jm.fit(
+        file,
+        log,
+        lambda v: (v.thrusters.advance_loss, v.actuators[0].drag),
+        prior=(held, np.full(3, np.inf)),
+    )
+    assert fit.reduced_chi2 == pytest.approx(1.0, abs=0.1)
+    truth = {"thrusters.advance_loss[star]": 1.5, "thrusters.advance_loss[port]": 1.0}
+    truth |= {f"surge_drag.drag[{i}]": value for i, value in enumerate((3.0, 1.0, 4.0))}
+    for name, value in truth.items():
+        assert fit[name].value == pytest.approx(value, abs=4 * fit[name].std_model)
+        assert fit[name].std_model < 0.25 * value
+
+
 HULL = """
 [hull_polynomial]
 length = 3.0

@@ -372,8 +372,8 @@ def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, 
 
 @pytest.mark.parametrize(
     ("free", "entries", "leaves"),
-    # Of `all` three of thrusters too, and six numbers of a hull's lift, which the file does not have.
-    [("coupling", "coupled", 3), ("all", "coupled", 12), ("linear", "diagonal", 1)],
+    # Of `all` four of thrusters too, and six numbers of a hull's lift, which the file does not have.
+    [("coupling", "coupled", 3), ("all", "coupled", 13), ("linear", "diagonal", 1)],
 )
 def test_fit_frees_what_couples_axes_where_it_is_asked_for(
     jaxmarine, folder, ship, monkeypatch, free, entries, leaves

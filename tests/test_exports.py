@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
-from jaxmarine.actuators import Slider
+from jaxmarine.actuators import Slider, SurgeDrag
 from jaxmarine.cli import app
 from jaxmarine.effects import (
     CATALOGUE,
@@ -56,10 +56,17 @@ ROUNDING = 1e-9
 
 
 def remembering() -> Vehicle:
-    """An ROV with slow thrusters, a dead zone, fluid memory, a current and a learned damping."""
+    """An ROV with slow thrusters, a dead zone, thrust lost to the flow, fluid memory and a current.
+
+    Of its dampings one is of any shape over the speed, another learned.
+    """
     vehicle = packaged("tethra")
     one = jnp.ones_like(vehicle.thrusters.lag)
-    thrusters = dataclasses.replace(vehicle.thrusters, lag=0.3 * one, deadband=0.05 * one)
+    thrusters = dataclasses.replace(
+        vehicle.thrusters, lag=0.3 * one, deadband=0.05 * one, advance_loss=8.0 * one
+    )
+    knots = {"speed": jnp.array([0.0, 0.1, 0.3]), "drag": jnp.array([10.0, 80.0, 30.0])}
+    drag = SurgeDrag(**knots, names=("surge_drag",))
     memory = Placed(FluidMemory(jnp.full(6, 20.0), jnp.full(6, 0.8)))
     current = Placed(SteadyCurrent(jnp.asarray(0.2), jnp.asarray(-0.1), jnp.asarray(0.0)), since=-1.0)
     axes = ("surge", "sway", "yaw")
@@ -67,7 +74,8 @@ def remembering() -> Vehicle:
     weights = network.network.layers[-1].weight
     # As if it had been fitted: the last layer begins at zero.
     network = eqx.tree_at(lambda n: n.network.layers[-1].weight, network, 0.5 * jnp.ones_like(weights))
-    return dataclasses.replace(vehicle, thrusters=thrusters).place(memory, current, Placed(network))
+    vehicle = dataclasses.replace(vehicle, thrusters=thrusters, actuators=(drag,))
+    return vehicle.place(memory, current, Placed(network))
 
 
 def sliding() -> Vehicle:
@@ -256,13 +264,17 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path):
 
 
 def forgetful() -> Vehicle:
-    """`remembering` without memory and learned terms, with what plain parameters can hold beside."""
+    """`remembering` without what plain parameters cannot hold, and with what they can hold beside."""
     vehicle = remembering()
+    none = jnp.zeros_like(vehicle.thrusters.lag)
     current = vehicle.placed[1]
     more = Placed(LinearDamping(jnp.asarray([5.0, 4.0, 3.0, 0.2, 0.3, 0.4])))
     push = Placed(ConstantWrench(jnp.asarray([1.0, -2.0, 0.5, 0.1, 0.0, 0.2])))
     water = Placed(CoupledAddedMass(jnp.asarray([0.0, 6.0, 0.0, 0.0, 9.0, 0.0])))
-    return dataclasses.replace(vehicle, placed=(current, more, push, water))
+    thrusters = dataclasses.replace(vehicle.thrusters, advance_loss=none)
+    return dataclasses.replace(
+        vehicle, thrusters=thrusters, actuators=(), placed=(current, more, push, water)
+    )
 
 
 @pytest.mark.parametrize("name", ["simple", pytest.param("forgetful", marks=pytest.mark.slow)])
@@ -339,6 +351,7 @@ def test_plain_parameters_say_what_they_lack(tmp_path):
     assert "Propellers are left out: prop" in said and "Control surfaces" in said
     said = " ".join(export(remembering(), tmp_path / "rov.py", "pvs"))
     assert "Fluid memory acts at once" in said and "left out: `mlp_damping`" in said
+    assert "takes no thrust, as `advance_loss` has it" in said and "are left out: surge_drag." in said
 
 
 def simple() -> Vehicle:

@@ -289,6 +289,9 @@ def test_thrust_astern_follows_that_ahead_unless_it_is_stated_or_freed():
 def test_a_prior_of_a_number_that_is_zero_is_as_wide_as_one():
     _, scales = set_free(boat(), lambda v: (v.thrusters.quadratic, v.thrusters.max_thrust_reverse), prior=0.3)
     np.testing.assert_allclose(scales.prior, [0.3, 0.3, 0.3, 12.0, 12.0, 9.0])
+    # Of thrust that is lost to the flow, as what leaves none of 40 and 30 N at 1 m/s.
+    _, scales = set_free(boat(), lambda v: v.thrusters.advance_loss, prior=0.3)
+    np.testing.assert_allclose(scales.prior, [12.0, 12.0, 9.0])
 
 
 # --- what the data do not determine -----------------------------------------------------------

@@ -62,6 +62,7 @@ def vehicle(name: str = "catamaran", dof: tuple[str, ...] = PLANAR) -> Vehicle:
             saturation=jnp.ones(2),
             max_thrust_reverse=jnp.zeros(2),
             quadratic=jnp.zeros(2),
+            advance_loss=jnp.zeros(2),
         ),
         density=jnp.array(1025.0),
         gravity=jnp.array(9.81),

@@ -28,8 +28,9 @@ from jaxmarine.effects import (
     VelocityScale,
     place,
 )
+from jaxmarine.logs import Log
 from jaxmarine.physics import from_euler, thrust
-from jaxmarine.simulation import initial_state
+from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import (
     Input,
     Placed,
@@ -141,6 +142,49 @@ def test_allocated_commands_give_the_wrench_by_the_independent_plant(tmp_path):
     # No thrust takes no command, and what is more than there is takes all there is.
     assert not np.any(allocate(vehicle, jnp.zeros(6)))
     assert np.abs(allocate(vehicle, jnp.asarray(1e6 * wrench))).max(axis=1) == pytest.approx(1.0)
+
+
+def losing(vehicle: Vehicle, folder: Path, *losses: float) -> Vehicle:
+    """The vehicle with thrusters that lose these to the flow [N s/m], saved and read."""
+    lossy = eqx.tree_at(lambda v: v.thrusters.advance_loss, vehicle, jnp.asarray(losses))
+    save_vehicle(lossy, folder / "lossy.toml")
+    return load_vehicle(folder / "lossy.toml")
+
+
+def test_thrusters_lose_to_the_flow_that_comes_to_them(tmp_path):
+    path = asymmetric(tmp_path)
+    losses, vehicle = (0.4, 0.7, 0.3), load_vehicle(path)
+    plain, lossy = vehicle.plant(), losing(vehicle, tmp_path, *losses).plant()
+    tables = tomllib.loads(path.read_text())["thruster"]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        given, nu = rng.uniform(-1.0, 1.0, 3), rng.normal(size=6)
+        acting, wrench = np.zeros(3), np.zeros(6)
+        for i, (one, c, loss) in enumerate(zip(tables, given, losses, strict=True)):
+            most = one["max_thrust"] if c > 0 else one.get("max_thrust_reverse", one["max_thrust"])
+            acting[i] = c * most
+            place, direction = np.array(one["position"]), np.array(one["direction"])
+            direction = direction / np.linalg.norm(direction)
+            force = -loss * abs(c) * (nu[:3] + np.cross(nu[3:], place)) @ direction * direction
+            wrench += np.concatenate([force, np.cross(place, force)])
+        changed = lossy.pushed(acting, nu) - plain.pushed(acting, nu)
+        np.testing.assert_allclose(changed, wrench, atol=1e-12)
+    # At rest, and where no thrust is asked for, there is nothing to lose.
+    np.testing.assert_array_equal(lossy.pushed(acting, jnp.zeros(6)), plain.pushed(acting, jnp.zeros(6)))
+    assert not np.any(lossy.pushed(jnp.zeros(3), nu))
+
+
+@pytest.mark.parametrize("command", [0.6, -0.6])
+def test_a_boat_without_drag_comes_to_the_speed_that_the_flow_leaves_it(tmp_path, command):
+    """m u' = T(c) - k |c| u, from 0.3 m/s on: a propeller that pushes astern meanwhile gains."""
+    ship = losing(packaged("cybership2"), tmp_path, 2.0, 2.0, 0.0)
+    ship = eqx.tree_at(lambda v: (v.damping.linear, v.damping.quadratic), ship, (jnp.zeros((6, 6)),) * 2)
+    t = np.arange(0.0, 30.0, 0.1)
+    commands = np.tile([command, command, 0.0], (300, 1))
+    log = Log(t, np.full((300, 18), np.nan), commands, None, ship.command_names, "log")
+    u = np.asarray(simulate(ship, log, initial_state(ship, velocity=(0.3, 0, 0, 0, 0, 0))).channels)[:, 6]
+    mass, loss, last = float(ship.mass_matrix[0, 0]), 2.0 * 2.0 * 0.6, command / 0.6
+    np.testing.assert_allclose(u, last + (0.3 - last) * np.exp(-loss / mass * t), rtol=1e-6)
 
 
 @pytest.mark.parametrize("quadratic", [-1.0, -0.3, 0.0, 0.5, 0.51, 1.0, 1.6])

@@ -147,17 +147,18 @@ def test_thrusters_have_unit_directions_and_limits_of_at_least_one(tmp_path):
 
 
 def test_what_a_thruster_does_astern_and_its_curve_are_kept_where_they_are_stated(tmp_path):
-    stated = "max_thrust = 80.0\nmax_thrust_reverse = 56.0\nquadratic = 0.4"
+    stated = "max_thrust = 80.0\nmax_thrust_reverse = 56.0\nquadratic = 0.4\nadvance_loss = 9.5"
     file = read(tmp_path, MINIMAL + THRUSTERS.replace("max_thrust = 80.0", stated))
     assert [(one.max_thrust_reverse, one.quadratic) for one in file.thruster] == [(None, 0.0), (56.0, 0.4)]
     write_vehicle_file(file, tmp_path / "copy.toml")
     assert read_vehicle_file(tmp_path / "copy.toml") == file
     bow, stern = tomllib.loads((tmp_path / "copy.toml").read_text())["thruster"]
-    assert not {"max_thrust_reverse", "quadratic"} & {*bow}
-    assert (stern["max_thrust_reverse"], stern["quadratic"]) == (56.0, 0.4)
+    assert not {"max_thrust_reverse", "quadratic", "advance_loss"} & {*bow}
+    assert (stern["max_thrust_reverse"], stern["quadratic"], stern["advance_loss"]) == (56.0, 0.4, 9.5)
     for wrong, said in (
         ("max_thrust_reverse = 0", "the thrust at command -1"),
         ("quadratic = 3", "from -1 to 2"),
+        ("advance_loss = 9.5\nswivel = [0, 0, 1]", "`swivel` and `advance_loss`"),
     ):
         text = THRUSTERS.replace("max_thrust = 80.0", f"max_thrust = 80.0\n{wrong}")
         with pytest.raises(InputError, match=said):

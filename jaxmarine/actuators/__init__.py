@@ -25,6 +25,7 @@ from ._slider import Slider as Slider
 from ._supply import Supply as Supply
 from ._surface import FREE as FREE
 from ._surface import Surfaces as Surfaces
+from ._surge_drag import SurgeDrag as SurgeDrag
 from ._swivel import Swivels as Swivels
 from ._wind import Wind as Wind
 
@@ -34,6 +35,7 @@ KINDS: tuple[type[AbstractKind], ...] = (
     CrossFlow,
     CrossDamping,
     HullPolynomial,
+    SurgeDrag,
     Wind,
     Slider,
 )

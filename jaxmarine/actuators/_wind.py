@@ -10,7 +10,7 @@ import pydantic
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from .._tables import Number, Table, finite, pair
+from .._tables import Number, Numbers, Table, pair
 from .._types import WIND, Wrench
 from ..physics import Drive
 from ._base import AbstractActuators, Flow, Stream, servo
@@ -19,15 +19,6 @@ from ._base import AbstractActuators, Flow, Stream, servo
 _AIR = 1.225
 # No wind is faster [m/s], and no direction is further round [rad].
 _STORM, _TURNS = 100.0, 4 * np.pi
-
-
-def _harmonics(value: Any) -> tuple[float, ...]:
-    if not isinstance(value, list | tuple) or not value:
-        raise ValueError(f"must be a list of numbers, but is {value!r:.60}.")
-    return tuple(finite(entry) for entry in value)
-
-
-_Numbers = Annotated[tuple[float, ...], pydantic.BeforeValidator(_harmonics)]
 
 
 class WindTable(Table):
@@ -39,9 +30,9 @@ class WindTable(Table):
     centre: Annotated[tuple[float, float], pydantic.BeforeValidator(pair)] = Field(
         default=(0.0, 0.0), description="[x, z] of the wind's centre from `o` [m]"
     )
-    surge: _Numbers = Field(description="a list of numbers, C_X = sum a_k cos k g")
-    sway: _Numbers = Field(description="a list of numbers, C_Y = sum b_k sin k g")
-    yaw: _Numbers = Field(default=(0.0,), description="a list of numbers, C_N = sum c_k sin k g")
+    surge: Numbers = Field(description="a list of numbers, C_X = sum a_k cos k g")
+    sway: Numbers = Field(description="a list of numbers, C_Y = sum b_k sin k g")
+    yaw: Numbers = Field(default=(0.0,), description="a list of numbers, C_N = sum c_k sin k g")
 
 
 class Wind(AbstractActuators):

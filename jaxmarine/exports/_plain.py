@@ -93,6 +93,8 @@ def lost(vehicle: Vehicle) -> tuple[str, ...]:
         out.append("The learned curve of thrust is left out.")
     if np.any(np.asarray(plant.drive.inflow)):
         out.append("Thrust does not fall with speed, as `inflow_loss` has it.")
+    if np.any(np.asarray(plant.advance)):
+        out.append("The flow past thrusters takes no thrust, as `advance_loss` has it.")
     if not np.allclose(plant.load.added, plant.load.added.T):
         out.append("Added mass is made symmetric.")
     return tuple(out)

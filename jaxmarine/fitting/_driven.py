@@ -71,6 +71,12 @@ def thrusts(vehicle: Vehicle, log: Log) -> Float[np.ndarray, "times thrusters"]:
     return mean[: len(log.t), : len(vehicle.thruster_names)]
 
 
+def in_still_water(plant: Plant) -> Plant:
+    """The plant whose fixed thrusters give what they would in still water."""
+    losses = plant.drive.inflow, plant.advance
+    return eqx.tree_at(lambda p: (p.drive.inflow, p.advance), plant, tuple(map(jnp.zeros_like, losses)))
+
+
 @compiled
 def _thrusts(plant: Plant, t, commands):
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
@@ -92,8 +98,8 @@ def _wrenches(plant: Plant, t, commands, position, attitude, nu, nu_dot):
 
     mean = thrust(drive, t, commands).mean
     if plant.actuators:
-        # Without the loss by inflow, as that of thrusters; these hang on the flow by what they are.
-        free = eqx.tree_at(lambda p: p.drive.inflow, plant, jnp.zeros(commands.shape[1]))
+        # Thrusters without what the flow takes; the others hang on the flow by what they are.
+        free = in_still_water(plant)
 
         def pushed(acting, attitude, nu):
             turn = from_euler(attitude)

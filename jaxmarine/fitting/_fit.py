@@ -154,7 +154,8 @@ def fit(
       damping on a diagonal, where they are positive: of their logarithm, so that they stay so; of a start of
       zero: to a typical size, which is 1 of what is no matrix, such as `thrusters.quadratic`, and none of an
       effect of the catalogue, which may be of any size), or standard deviations in the structure of
-      `free(vehicle)`, where 0 holds an entry and inf means none. What the logs do not determine stays at the
+      `free(vehicle)`, where 0 holds an entry and inf means none (numbers of actuators that are positive by
+      what they are stay so within these too). What the logs do not determine stays at the
       start by it, with that standard error. A learned network needs one, as its weights are never all
       determined. What the table `[prior]` of the vehicle's file says goes before a number, and before none.
     - `entries`: of 6x6 matrices "all", those "nonzero" in the start, the "diagonal", or "coupled": with the

@@ -310,17 +310,18 @@ def set_free(
             part = make(vehicle, name, np.asarray(leaf), mask)
             flat = _places_of(part)
             size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif relative and _is_positive(vehicle, path, name):
+        elif _is_positive(vehicle, path, name) and (relative or _narrowed(path, std)):
             if name == "thrusters.max_thrust_reverse":
                 # Where the file states none it is fitted by itself from there on.
                 leaf = vehicle.thrusters.reverse
-            flat, labels = np.arange(leaf.size), _labels(vehicle, name, np.asarray(leaf))
+            flat, labels = np.flatnonzero(~held), _labels(vehicle, name, np.asarray(leaf))
+            labels = [labels[i] for i in flat]
             # Of thrust over the advance the first number alone has a sign of its own.
             may = flat % leaf.shape[-1] == 0 if leaf.ndim > 1 else np.ones(len(flat), bool)
             part = _magnitudes(np.asarray(leaf), flat, labels, may, np.zeros(len(flat)))
             size = np.abs(np.asarray(leaf).reshape(leaf.shape[0], -1))
             # One that is zero may be as large as the others of its curve.
-            size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()
+            size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()[flat]
             size = np.where(size > 0, size, 1.0)
         else:
             if name == "thrusters.max_thrust_reverse":
@@ -328,7 +329,7 @@ def set_free(
             part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
             flat = _places_of(part)
             value = np.abs(np.asarray(leaf).ravel()[flat])
-            usual = _usual(vehicle, path)
+            usual = _usual(vehicle, path, name)
             if usual is not None:
                 value = np.maximum(value, usual.ravel()[flat])
             size = np.where(value > 0, value, 1.0)
@@ -377,6 +378,11 @@ def _is_positive(vehicle: Vehicle, path, name: str) -> bool:
     return name in _THRUSTS
 
 
+def _narrowed(path, std: np.ndarray) -> bool:
+    """Whether a leaf of actuators has a stated prior that is neither none nor all there is."""
+    return path[0].name == "actuators" and bool((np.isfinite(std) & (std > 0.0)).any())
+
+
 def _typical(vehicle: Vehicle, path) -> float | None:
     """How large a parameter of an effect commonly is on a craft of this mass and length, if that is known.
 
@@ -390,8 +396,13 @@ def _typical(vehicle: Vehicle, path) -> float | None:
     return mass * (4.0 * np.sqrt(inertia.max() / mass)) ** power
 
 
-def _usual(vehicle: Vehicle, path) -> np.ndarray | None:
-    """How large the numbers of an actuator's leaf commonly are, if its kind knows that."""
+def _usual(vehicle: Vehicle, path, name: str) -> np.ndarray | None:
+    """How large the numbers of an actuator's leaf commonly are, if its kind knows that.
+
+    Of thrust that is lost to the flow as much as leaves none at 1 m/s.
+    """
+    if name == "thrusters.advance_loss":
+        return np.asarray(vehicle.thrusters.max_thrust)
     if path[0].name != "actuators":
         return None
     braking = np.diag(_damping_size(vehicle, np.asarray(vehicle.damping.quadratic)))
@@ -509,7 +520,7 @@ def _matrix_places(axes, pairs) -> np.ndarray:
 def _places_of(part: Entries | Magnitudes | Inertia | Dissipative) -> np.ndarray:
     """Flat places in the leaf of a part's entries."""
     if isinstance(part, Magnitudes):
-        return np.array(part.places)
+        return np.array(part.places, int)
     if isinstance(part, Entries):
         return np.argmax(np.asarray(part.spread), axis=0)
     return _matrix_places(part.axes, part.pairs)

@@ -9,7 +9,6 @@ mass or lift slope it is another one, by a wrong sign it is negative.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +21,7 @@ from ..logs import Log, smooth_states
 from ..physics import from_euler, rotation, thrust
 from ..vehicle import Plant, Vehicle
 from ._clock import BLOCKS, FEWEST, STRETCH, impulses, integrals, others
-from ._driven import padded
+from ._driven import in_still_water, padded
 
 # A coefficient is that of a wrong sign between these, by so many standard errors. What an autopilot tells its
 # rudder answers the motion, which bends a coefficient, but not by more than it is; beyond the other, the
@@ -116,7 +115,7 @@ def _given(
 @compiled
 def _each(plant: Plant, t, commands, attitude, nu):
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
-    free = eqx.tree_at(lambda p: p.drive.inflow, plant, jnp.zeros(commands.shape[1]))
+    free = in_still_water(plant)
 
     def each(acting, attitude, nu):
         turn = from_euler(attitude)
