@@ -65,6 +65,8 @@ from .physics import (
 
 # Beyond the speed of any vessel that is driven by propellers [m/s].
 _FASTEST = 40.0
+# Share of full thrust below which the loss to the flow fades.
+_FAINT = 1e-4
 _ORDER = {effect: place for place, effect in enumerate(CATALOGUE)}
 
 
@@ -134,7 +136,7 @@ class Damping(eqx.Module):
 class Thrusters(eqx.Module):
     """Fixed thrusters: `position` [m], unit `direction`, `max_thrust` [N], and the constants of `Drive`.
 
-    `advance_loss` [N s/m] is the thrust that each m/s of flow along a thruster takes at full thrust.
+    `advance_loss` [N s/m] is the thrust that each m/s of flow along a thruster takes at command 1.
     `max_thrust_reverse` [N] is 0 where the file states none: the thruster then gives `max_thrust` backwards
     too, whatever a fit makes of that.
     """
@@ -486,13 +488,18 @@ class Plant(eqx.Module):
     def _in_flow(self, thrust: Float[Array, " thrusters"], nu_r: Velocity) -> Float[Array, " thrusters"]:
         """What the flow leaves of the thrusters' thrust [N].
 
-        After Fossen (2021), T = T_nn n|n| - T_nu |n| u_a, with the share of full thrust in the place of n.
+        After Fossen (2021), T = T_nn n|n| - T_nu |n| u_a, with the command that gives as much thrust in place
+        of n: what lag, dead zone and faults do to the thrust they do to it.
         """
         drive, count = self.drive, len(thrust)
         most = jnp.where(thrust < 0.0, drive.max_thrust_reverse[:count], drive.max_thrust[:count])
+        share, curve = jnp.abs(thrust) / most, jnp.clip(drive.quadratic[:count], 0.0, 1.0)
+        # The root of (1 - curve) c + curve c² = share, with a finite slope at no thrust.
+        root = jnp.sqrt((1.0 - curve) ** 2 + 4.0 * curve * (share + _FAINT))
+        command = 2.0 * share / (1.0 - curve + root)
         along = jnp.abs(apply(self.direction, nu_r[:3]))
         # What makes a wrench of thrusts makes, transposed, speeds along them of a motion: power is the same.
-        lost = self.advance * jnp.abs(thrust) / most * apply(self.allocation.T, nu_r)
+        lost = self.advance * command * apply(self.allocation.T, nu_r)
         return thrust * (1.0 - drive.inflow[:count] * along) - lost
 
     def pushed(
