@@ -391,6 +391,7 @@ def test_programs_are_let_go_where_memory_maps_run_out(monkeypatch):
 
     compile_some()
     monkeypatch.setattr(_work, "_MAPS", 10**9)
+    monkeypatch.setattr(_work, "_MEMORY", 10**15)
     many = maps()
     _work._let_go()
     # A map or two may go for other reasons.
@@ -398,4 +399,11 @@ def test_programs_are_let_go_where_memory_maps_run_out(monkeypatch):
     monkeypatch.setattr(_work, "_MAPS", 0)
     _work._let_go()
     # Each program holds some, which another diagnosis would add to.
+    assert maps() <= many - 10
+    # And where memory does.
+    compile_some()
+    many = maps()
+    monkeypatch.setattr(_work, "_MAPS", 10**9)
+    monkeypatch.setattr(_work, "_MEMORY", 0)
+    _work._let_go()
     assert maps() <= many - 10

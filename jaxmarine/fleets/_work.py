@@ -1,6 +1,8 @@
 """The work of one worker: a log diagnosed, from its files to what is kept of it."""
 
+import ctypes
 import gc
+import os
 import tempfile
 from pathlib import Path
 
@@ -16,9 +18,10 @@ from ._job import Job, Outcome
 from ._paths import at_hand
 from ._rows import rows_of
 
-# Memory maps of a process from which on its compiled programs are let go. Each holds some, of which Linux
-# gives a process 65530; one diagnosis adds a few thousand at most.
-_MAPS = 20_000
+# Memory maps of a process from which on its compiled programs are let go: Linux gives a process 65530, and
+# one diagnosis adds a few thousand at most. And memory [bytes]: that of a worker with few classes of craft.
+# Programs are kept on disk as well, and loaded again in a second or two.
+_MAPS, _MEMORY = 20_000, 2e9
 
 
 def diagnosed(job: Job) -> Outcome:
@@ -56,8 +59,28 @@ def _diagnosed(job: Job, folder: Path) -> Outcome:
 
 
 def _let_go() -> None:
-    """Lets compiled programs go where the process has too many memory maps for another diagnosis."""
-    maps = Path("/proc/self/maps")
-    if maps.exists() and len(maps.read_bytes().splitlines()) > _MAPS:
+    """Gives free memory back, and lets compiled programs go where the process holds much all the same."""
+    if not Path("/proc/self/maps").exists():
+        return
+    _trim()
+    if _maps() > _MAPS or _memory() > _MEMORY:
         let_go()
         gc.collect()
+        _trim()
+
+
+def _maps() -> int:
+    """Memory maps of this process."""
+    return len(Path("/proc/self/maps").read_bytes().splitlines())
+
+
+def _memory() -> int:
+    """Memory that this process takes up [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _trim() -> None:
+    """Gives memory that is free back to the system: glibc would hold it for as long as the process lives."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
