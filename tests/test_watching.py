@@ -1,6 +1,8 @@
 """A craft that is watched: evidence against least squares, names, interruptions, and a kill."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,7 +127,36 @@ def test_beginnings_are_kept_in_constant_room_and_thin_out_with_age():
     assert ages[-1] == 4.0 and np.all(ages[:-1] / ages[1:] <= 2.0 + 1e-9)
 
 
+def test_a_suspect_that_cannot_be_is_none(unchecked):
+    """A delay of the same size is possible where it is positive, as estimated by least squares."""
+    x, y, account, suspects = linear()
+    flat, prior = x.reshape(-1, 5)[:, :3], np.diag([4.0, 0.3, 0.0])
+    (*_, size) = np.linalg.solve(flat.T @ flat + prior, -flat.T @ y.ravel())
+
+    def judged(sign: float) -> bool:
+        late = SimpleNamespace(effect=SimpleNamespace(plausible={"delay": (0.0, 2.0)}), slots={"delay": (2,)})
+        layout = SimpleNamespace(suspects=[late], values=lambda i, z: {"delay": sign * np.sign(size) * z[0]})
+        judge: Any = object.__new__(_judge.Judge)
+        judge.members = ()
+        judge.ledger = SimpleNamespace(
+            bench=SimpleNamespace(layout=layout),
+            suspicions=suspects,
+            since=lambda account: since_each(account, 24, 4, np.arange(24.0), np.full(24, 10)),
+        )
+        return judge._possible(account, Member(0, -np.inf))
+
+    assert judged(1.0) and not judged(-1.0)
+
+
 # --- a watch -------------------------------------------------------------------------------------
+
+
+def test_a_file_that_says_it_is_a_guess_is_told_so_once():
+    guessed = Watch(dataclasses.replace(boat(), prior=(("added_mass", 0.6),)), catalogue=SMALL)
+    row = {"t": 0.0, "x": 0.0, "port": 0.1, "starboard": 0.0, "bow": 0.0}
+    told = guessed.update(row) + guessed.update(row | {"t": 0.1})
+    assert len(told) == 1 and "jaxmarine fit" in told[0]
+    assert not Watch(boat(), catalogue=SMALL).update(row)
 
 
 def test_a_thruster_that_grows_weak_is_named_with_its_time(watched):

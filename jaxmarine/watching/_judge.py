@@ -144,6 +144,7 @@ class Judge:
             found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
             nats, since, account = max(found, key=lambda one: one[0])
             weighed.append((nats, Member(member.suspect, since), account))
+        weighed = [one for one in weighed if self._possible(one[2], one[1])]
         weighed.sort(key=lambda one: -one[0])
         if not weighed or weighed[0][0] < self.bound:
             self.undecided = ()
@@ -182,24 +183,38 @@ class Judge:
         b, best = best_beginning(since, nats + ledger.likelihood(account, since, self.members) - level)
         return best, since[b].t
 
+    def _possible(self, account: Account, member: Member) -> bool:
+        """Whether a suspect, as estimated beside what is named, is in its effect's range, as in a diagnosis.
+
+        A sensor that shows what is yet to come explains much of a craft that its file does not describe.
+        """
+        ranges = self.ledger.bench.layout.suspects[member.suspect].effect.plausible
+        values = self._estimated(account, (*self.members, member), len(self.members))[0]
+        return all(low <= values[name] <= high for name, (low, high) in ranges.items())
+
     def label(self, suspect: int) -> str:
         return self.ledger.bench.layout.suspects[suspect].label
 
     def parameters(self, which: int) -> dict[str, tuple[float, float, str]]:
         """Of a member, as it is known now: value, standard error, unit."""
-        ledger, member = self.ledger, self.members[which]
-        suspicions, since = ledger.suspicions, ledger.since(ledger.accounts[0])
-        z = suspicions.estimate(since, self.members)
-        std = np.sqrt(np.diag(suspicions.covariance(since, self.members)))
-        at = len(suspicions.base)
-        at += sum(suspicions.columns[m.suspect].shape[1] for m in self.members[:which])
-        suspect = ledger.bench.layout.suspects[member.suspect]
-        here = slice(at, at + len(suspect.slots))
-        values = ledger.bench.layout.values(member.suspect, z[here])
+        ledger = self.ledger
+        values, std = self._estimated(ledger.accounts[0], self.members, which)
+        units = ledger.bench.layout.suspects[self.members[which].suspect].effect.units
         return {
-            name: (value, float(s), suspect.effect.units[name])
-            for (name, value), s in zip(values.items(), std[here], strict=True)
+            name: (value, float(s), units[name]) for (name, value), s in zip(values.items(), std, strict=True)
         }
+
+    def _estimated(
+        self, account: Account, members: Sequence[Member], which: int
+    ) -> tuple[dict[str, float], np.ndarray]:
+        """Parameters of one of some members, all known beside an account, and their standard errors."""
+        suspicions, since = self.ledger.suspicions, self.ledger.since(account)
+        z = suspicions.estimate(since, members)
+        std = np.sqrt(np.diag(suspicions.covariance(since, members)))
+        at = len(suspicions.base) + sum(suspicions.columns[m.suspect].shape[1] for m in members[:which])
+        layout, suspect = self.ledger.bench.layout, members[which].suspect
+        here = slice(at, at + len(layout.suspects[suspect].slots))
+        return layout.values(suspect, z[here]), std[here]
 
 
 def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:

@@ -66,6 +66,13 @@ class Intake:
                     f"A row has neither commands ({', '.join(names)}) nor a wrench ({', '.join(WRENCH)}); "
                     "map the columns."
                 )
+            if self.vehicle.prior:
+                told += self.once(
+                    "prior",
+                    f"The file of {self.vehicle.name} says in [prior] that its numbers may be far off, and a "
+                    "name may stand in for what they miss; fit it to a log (`jaxmarine fit`), and narrow or "
+                    "remove that table, before names count.",
+                )
         commands = np.array([_number(row, name) for name in names])
         commands = np.where(np.isfinite(commands), commands, self.held)
         limits = self.vehicle.command_limits
