@@ -138,7 +138,9 @@ def _sandwich(estimate: Estimate, units: Units) -> np.ndarray:
     if len(estimate.scores) < _FEWEST:
         return np.full((count, count), np.nan)
     total = estimate.information.sum(0) + np.diag(units.precision)
-    unit = np.linalg.inv(np.linalg.cholesky(total))
+    # Scaled to a diagonal of ones: held entries, whose precision is huge, would cost it its last digits.
+    size = np.sqrt(np.diag(total))
+    unit = np.linalg.inv(np.linalg.cholesky(total / np.outer(size, size))) / size
     share, axes = np.linalg.eigh(unit @ estimate.information @ unit.T)
     # A window that alone determines a parameter says nothing of its scatter.
     grow = np.clip(1.0 - share, _LEAST_REST, None) ** -0.5
