@@ -8,10 +8,9 @@ measures open-loop errors on `test/` once, and diagnoses each run of `defects/` 
 
 import argparse
 import dataclasses
-import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,10 +23,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxmarine as jm
-from experiments._study import ScalarEffect, save_figure, write_results
+from experiments._study import save_figure, write_results
 from jaxmarine._types import CHANNELS as NAMES
-from jaxmarine._types import Scalar, Wrench
-from jaxmarine.effects import CATALOGUE, Craft, Motion, Suspect, WrenchEffect, place
+from jaxmarine.actuators import SurgeDrag
+from jaxmarine.effects import place
 from jaxmarine.physics import from_euler, step_lengths
 from jaxmarine.simulation import hold, inputs, substeps
 from jaxmarine.vehicle_io import suspect_named
@@ -67,90 +66,10 @@ START_LINEAR = np.diag([5.0, 0.0, 1.5])
 START_QUADRATIC = np.diag([6.0, 150.0, 1.5])
 START_ADDED = np.diag([2.25, 20.0, 0.5])
 START_THRUST = 24.0  # [N]
-ARM = 0.205  # [m] half the published distance of the thrust lines
 KNOTS = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])  # [m/s] for left-out runs denser is no better
-START_LOG = float(np.log(8.0))  # [log of N s/m] the drag of START_LINEAR and START_QUADRATIC at 0.5 m/s
-NO_LOG = -1000.0  # its exponential is zero in floating point
+START_DRAG = 8.0  # [N s/m] that of START_LINEAR and START_QUADRATIC at 0.5 m/s
 
 Errors = Float[np.ndarray, "times 3"]
-
-
-# --- effects that the catalogue lacks ------------------------------------------------------------
-
-
-class AdvanceLoss(ScalarEffect):
-    """Thrust lost to the flow past a propeller: `per_speed` |c| u_c, with u_c the flow along it. Neutral: 0.
-
-    Per thruster, c its command, u_c = u - y r at its place (0, y). Unlike `inflow_loss`, where thrust falls
-    in either direction, a propeller that pushes astern while the boat moves ahead gains.
-    Source: after Fossen (2021): T = T_nn n|n| - T_nu |n| u_a.
-    """
-
-    name = "advance_loss"
-    units = {"per_speed": "N s/m"}
-    confused_with = ("inflow_loss", "linear_damping")
-
-    per_speed: Scalar
-
-    def __call__(self, motion: Motion) -> Wrench:
-        y = jnp.array([-ARM, ARM])  # port, starboard
-        lost = self.per_speed * jnp.abs(motion.command) * (motion.nu_r[0] - y * motion.nu_r[5])
-        return jnp.zeros(6).at[0].set(-lost.sum()).at[5].set((y * lost).sum())
-
-
-class SteadyWind(ScalarEffect):
-    """A push in surge that is constant in earth axes: X = north cos(psi) + east sin(psi). Neutral: 0.
-
-    Source: after Fossen (2021), for a wind far faster than the boat. Sway is left out: its push is
-    below what the runs show.
-    """
-
-    name = "steady_wind"
-    units = {"north": "N", "east": "N"}
-    confused_with = ("steady_current", "constant_wrench")
-
-    north: Scalar
-    east: Scalar
-
-    def __call__(self, motion: Motion) -> Wrench:
-        # The bow's direction is the first column of the rotation to the world.
-        return jnp.zeros(6).at[0].set(jnp.array([self.north, self.east, 0.0]) @ motion.rotation[:, 0])
-
-
-class SurgeDrag(WrenchEffect):
-    """Surge drag of a free shape: X = -D(|u|) u, D(KNOTS[k]) = exp(log_k) in N s/m. Neutral: -1000.
-
-    D is linear between the knots and constant beyond the last, where no run says anything; astern is as
-    ahead. Being exponentials, its values are positive: the drag dissipates at every speed.
-    Source: wave resistance has humps and hollows over the Froude number (after Faltinsen 2005), and the
-    published surge damping changes its law with the speed. The shape stands for all that goes with the
-    speed and is not in the other terms, the propellers' among it.
-    """
-
-    name = "surge_drag"
-    units = {f"log_{k}": "log of N s/m" for k in range(len(KNOTS))}
-    confused_with = ("linear_damping", "quadratic_damping")
-
-    log_drag: Float[Array, " knots"]
-
-    @classmethod
-    def neutral(cls, craft: Craft) -> Self:
-        del craft
-        return cls(jnp.full(len(KNOTS), NO_LOG))
-
-    @classmethod
-    def suspects(cls, craft: Craft) -> tuple[Suspect, ...]:
-        del craft
-        slots = {name: (k,) for k, name in enumerate(cls.units)}
-        return (Suspect(cls, None, slots, (dict.fromkeys(slots, START_LOG),)),)
-
-    def __call__(self, motion: Motion) -> Wrench:
-        u = motion.nu_r[0]
-        drag = jnp.interp(jnp.abs(u), jnp.asarray(KNOTS), jnp.exp(self.log_drag))
-        return jnp.zeros(6).at[0].set(-drag * u)
-
-
-OWN = (AdvanceLoss, SteadyWind, SurgeDrag)
 
 
 # --- model ---------------------------------------------------------------------------------------
@@ -164,17 +83,18 @@ def _six(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "6 6"]:
 
 
 def start_of(published: jm.Vehicle) -> jm.Vehicle:
-    """The published rigid body with mild damping, and the terms that the file lacks."""
+    """The published rigid body with mild damping, and the terms that its file does not have."""
     placed = []
     for name, target, values in (
         ("thruster_lag", None, {"time_constant": 0.1}),
         ("thrust_curve", None, {}),
         ("hull_lift", None, {}),
         ("turning_lift", None, {}),
-        *((effect.name, None, {}) for effect in OWN),
+        ("wind_push", None, {}),
     ):
-        effect = place(suspect_named(published, name, target, (*CATALOGUE, *OWN)), published, values)
+        effect = place(suspect_named(published, name, target), published, values)
         placed.append(jm.Placed(effect, target))
+    drag = SurgeDrag(speed=jnp.asarray(KNOTS), drag=jnp.zeros(len(KNOTS)), names=("surge_drag",))
     vehicle = eqx.tree_at(
         lambda v: (v.added_mass, v.damping.linear, v.damping.quadratic, v.thrusters.max_thrust),
         published,
@@ -185,13 +105,14 @@ def start_of(published: jm.Vehicle) -> jm.Vehicle:
             jnp.full(2, START_THRUST),
         ),
     )
-    return vehicle.place(*placed)
+    return dataclasses.replace(vehicle, actuators=(drag,)).place(*placed)
 
 
 def selected(vehicle: jm.Vehicle) -> dict[str, Any]:
     """What is fitted. The mass and the surge added mass are held: they set the scale of all forces."""
     effects: list[Any] = [placed.effect for placed in vehicle.placed]
-    lag, curve, lift, turn, advance, wind, drag = effects
+    lag, curve, lift, turn, wind = effects
+    drag: Any = vehicle.actuators[0]
     return {
         "added mass": vehicle.added_mass,
         "linear damping": vehicle.damping.linear,
@@ -202,10 +123,10 @@ def selected(vehicle: jm.Vehicle) -> dict[str, Any]:
         "lag": lag.time_constant,
         "curve": curve.quadratic,
         "hull lift": (lift.Y_uv, lift.N_uv, lift.Z_uw, lift.M_uw),
-        "advance loss": advance.per_speed,
+        "advance loss": vehicle.thrusters.advance_loss,
         "turn lift": (turn.Y_ur, turn.N_ur),
         "wind": (wind.north, wind.east),
-        "surge drag": drag.log_drag,
+        "surge drag": drag.drag,
     }
 
 
@@ -220,10 +141,10 @@ PRIOR: dict[str, Any] = {
     "lag": np.array(0.2),
     "curve": np.array(0.5),
     "hull lift": tuple(map(np.array, (0.0, 10.0, 0.0, 0.0))),
-    "advance loss": np.array(10.0),
+    "advance loss": np.full(2, 10.0),
     "turn lift": tuple(map(np.array, (40.0, 3.0))),
     "wind": tuple(map(np.array, (1.0, 0.0))),
-    "surge drag": np.full(len(KNOTS), 1.0),
+    "surge drag": np.full(len(KNOTS), 8.0),
 }
 SURGE = np.arange(6)[:, None] + np.arange(6) == 0  # the entry of a matrix that is the file's surge damping
 
@@ -232,7 +153,7 @@ SURGE = np.arange(6)[:, None] + np.arange(6) == 0  # the entry of a matrix that 
 class Candidate:
     """Which terms stay out, held within a thousandth of their width, and how wide the priors are.
 
-    `shaped`: surge drag is `SurgeDrag` alone, otherwise the linear and quadratic damping of the file alone.
+    `shaped`: surge drag is that over the speed alone, otherwise the linear and quadratic damping alone.
     """
 
     name: str
@@ -251,7 +172,7 @@ class Candidate:
 
         linear, quadratic, shape = of(start)
         held = [jnp.where(SURGE, 0.0, linear), jnp.where(SURGE, 0.0, quadratic)]
-        return eqx.tree_at(of, start, [*held, jnp.full_like(shape, START_LOG)])
+        return eqx.tree_at(of, start, [*held, jnp.full_like(shape, START_DRAG)])
 
     def prior(self) -> dict[str, Any]:
         """Standard deviations in the structure of `selected`."""
@@ -279,7 +200,7 @@ CANDIDATES = (
     Candidate("linear thrust", ("curve",)),
     Candidate("arms and directions as published", ("arms", "toe")),
     Candidate("linear and quadratic surge drag", shaped=False),
-    Candidate("terms of the vehicle file only", ADDED, shaped=False),
+    Candidate("no added term, linear and quadratic surge drag", ADDED, shaped=False),
 )
 
 
@@ -313,13 +234,17 @@ def fitted(start: jm.Vehicle, runs: Sequence[jm.Log], candidate: Candidate, step
 
 
 def _unit(vehicle: jm.Vehicle) -> jm.Vehicle:
-    """The same thrust with directions of length one, as a file has them."""
+    """The same thrust with directions of length one, as a file has them.
+
+    What the flow takes of it goes by the direction twice: by the flow along it, and by where it pushes.
+    """
+
+    def of(vehicle: jm.Vehicle) -> list[Array]:
+        return [getattr(vehicle.thrusters, name) for name in ("direction", "max_thrust", "advance_loss")]
+
     length = jnp.linalg.norm(vehicle.thrusters.direction, axis=1)
-    return eqx.tree_at(
-        lambda v: (v.thrusters.direction, v.thrusters.max_thrust),
-        vehicle,
-        (vehicle.thrusters.direction / length[:, None], vehicle.thrusters.max_thrust * length),
-    )
+    direction, thrust, loss = of(vehicle)
+    return eqx.tree_at(of, vehicle, [direction / length[:, None], thrust * length, loss * length**2])
 
 
 # --- errors --------------------------------------------------------------------------------------
@@ -421,10 +346,8 @@ def read(data: Path, folder: str, vehicle: jm.Vehicle) -> list[jm.Log]:
 
 def diagnosed(vehicle: jm.Vehicle, run: jm.Log) -> dict:
     """What the diagnosis says of one run, trained and tested on it."""
-    began = time.perf_counter()
     answer = jm.diagnose(vehicle, run, run).to_json()
-    said = {key: answer[key] for key in ("verdict", "findings", "notes")}
-    return said | {"run": run.name, "seconds": round(time.perf_counter() - began, 1)}
+    return {"run": run.name} | {key: answer[key] for key in ("verdict", "findings", "notes")}
 
 
 # --- what is written -----------------------------------------------------------------------------

@@ -121,6 +121,18 @@ def test_the_page_has_the_numbers_of_the_present_code():
     assert f"{right} have a wholly right answer" in page
 
 
+def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
+    rows = json.loads((HERE / "by_sticks" / "results.json").read_text())["rows"]
+    off = [
+        abs(one["value"] - one["true"]) / one["std"]
+        for row in rows
+        if detectable(row) and row["whole"]
+        for one in row["parameters"]
+    ]
+    told = f"{sum(x <= 1.96 for x in off)} of {len(off)} hold it, and those that do not are off by at most"
+    assert f"{told} {max(off):.1f} standard deviations" in (ROOT / "docs" / "trust.md").read_text()
+
+
 def test_the_page_has_what_was_missed():
     rows = [
         row

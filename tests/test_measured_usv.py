@@ -1,86 +1,31 @@
-"""The measured boat: the script's quick run, and the effects that it adds to the catalogue."""
+"""The measured boat: the script's quick run, and what its page says."""
 
 import json
 import sys
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxmarine as jm
 from experiments import measured_usv as usv
-from jaxmarine.effects import CATALOGUE, Motion
 
 from .conftest import ROOT
 
 
-def _motion(nu, command=(0.0, 0.0), psi: float = 0.0) -> Motion:
-    """The boat on heading `psi` in still water."""
-    turn = jnp.array([[np.cos(psi), -np.sin(psi), 0.0], [np.sin(psi), np.cos(psi), 0.0], [0.0, 0.0, 1.0]])
-    nu = jnp.asarray(nu)
-    return Motion(
-        position=jnp.zeros(3),
-        rotation=turn,
-        nu=nu,
-        nu_r=nu,
-        lagged=jnp.zeros(0),
-        t=jnp.zeros(()),
-        command=jnp.asarray(command),
-    )
-
-
-def test_propellers_lose_to_the_flow_where_they_are():
-    loss = usv.AdvanceLoss(jnp.array(10.0))
-    # Each command of 0.5 at 0.8 m/s loses 10 * 0.5 * 0.8 = 4 N, ahead as well as astern.
-    for command in (0.5, 0.5), (-0.5, -0.5), (0.5, -0.5):
-        np.testing.assert_allclose(
-            loss(_motion([0.8, 0, 0, 0, 0, 0], command)), [-8, 0, 0, 0, 0, 0], atol=1e-12
-        )
-    # In a turn to starboard the port propeller advances, 0.205 m off the middle: 2 * 5 * 0.205² N m.
-    turning = loss(_motion([0, 0, 0, 0, 0, 1.0], (0.5, 0.5)))
-    np.testing.assert_allclose(turning, [0, 0, 0, 0, 0, -0.42025], atol=1e-12)
-    # A port propeller alone pulls the bow to port by what it loses ahead.
-    alone = loss(_motion([1.0, 0, 0, 0, 0, 0], (0.5, 0.0)))
-    np.testing.assert_allclose(alone, [-5, 0, 0, 0, 0, -5 * 0.205], atol=1e-12)
-
-
-def test_the_wind_pushes_along_its_heading():
-    wind = usv.SteadyWind(jnp.array(3.0), jnp.array(4.0))
-    for psi, push in (0.0, 3.0), (np.pi / 2, 4.0), (np.pi, -3.0), (np.arctan2(4, 3), 5.0):
-        np.testing.assert_allclose(
-            wind(_motion(np.zeros(6), psi=psi)), [push, 0, 0, 0, 0, 0], rtol=0, atol=1e-6
-        )
-
-
-def test_surge_drag_is_linear_between_its_knots_and_constant_beyond_them():
-    drag = usv.SurgeDrag(jnp.log(jnp.array([5.0, 2.0, 1.0, 8.0, 6.0, 7.0])))
-    # D(0.1) = (5 + 2) / 2, D(0.5) = (1 + 8) / 2, D(0.75) = 8 - 0.75 * 2; beyond 1 m/s it is 7.
-    for u, force in (0.1, -0.35), (0.5, -2.25), (0.75, -4.875), (-0.75, 4.875), (1.5, -10.5):
-        np.testing.assert_allclose(drag(_motion([u, 0.1, 0, 0, 0, 0.4])), [force, 0, 0, 0, 0, 0], rtol=1e-6)
-
-
 def test_a_candidate_has_one_surge_drag_only():
     start = usv.start_of(jm.load_vehicle(usv.HERE / "vtec_s3.toml"))
-    moving = _motion([0.5, 0, 0, 0, 0, 0])
     for candidate in usv.CANDIDATES:
         vehicle, prior = candidate.begin(start), candidate.prior()
-        shape = vehicle.placed[-1].effect
-        assert isinstance(shape, usv.SurgeDrag)
         linear, quadratic = (vehicle.damping.linear[0, 0], vehicle.damping.quadratic[0, 0])
         # At 0.5 m/s both are the same 4 N.
-        total = float(0.5 * linear + 0.25 * quadratic - shape(moving)[0])
-        assert total == pytest.approx(4.0)
+        shaped = vehicle.plant().pushed(jnp.zeros(2), 0.5 * jnp.eye(6)[0])[0]
+        assert float(0.5 * linear + 0.25 * quadratic - shaped) == pytest.approx(4.0)
         free = [bool(prior[f"{name} damping"][0, 0] > 0) for name in ("linear", "quadratic")]
         assert free == 2 * [not candidate.shaped]
         assert (prior["surge drag"] > 0).all() == candidate.shaped
         assert (linear == 0) == candidate.shaped
-
-
-@pytest.mark.parametrize("effect", usv.OWN)
-def test_what_the_script_adds_does_nothing_at_its_neutral_value(effect):
-    craft = jm.load_vehicle(usv.HERE / "vtec_s3.toml")
-    moving = _motion([0.8, 0.1, 0, 0, 0, 0.5], (0.5, -0.3), psi=1.0)
-    np.testing.assert_array_equal(effect.neutral(craft)(moving), np.zeros(6))
 
 
 def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, tmp_path, monkeypatch):
@@ -98,11 +43,25 @@ def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, t
     assert (fitted < np.array([0.3, 0.85, 0.5]) * published).all()
 
     # The stored file is that boat: it predicts the same, and its inertia is positive.
-    boat = jm.load_vehicle(tmp_path / "fitted.toml", (*CATALOGUE, *usv.OWN))
+    boat = jm.load_vehicle(tmp_path / "fitted.toml")
     runs = usv.read(data, "train", boat)[-2:]
     np.testing.assert_allclose(usv.rms(usv.errors(boat, runs)), fitted, rtol=1e-6)
     assert np.linalg.eigvalsh(boat.mass_matrix[np.ix_(usv.AXES, usv.AXES)]).min() > 0
     assert (tmp_path / "test.png").stat().st_size > 10_000
+
+
+def test_directions_of_length_one_push_as_longer_ones_did():
+    def of(v):
+        return v.thrusters.direction, v.thrusters.advance_loss
+
+    boat = usv.start_of(jm.load_vehicle(usv.HERE / "vtec_s3.toml"))
+    long = jnp.array([[1.0, -0.3, 0.0], [1.0, 0.2, 0.0]])
+    boat = eqx.tree_at(of, boat, (long, jnp.array([9.0, 12.0])))
+    unit, nu = usv._unit(boat), jnp.array([0.8, 0.1, 0, 0, 0, 0.5])
+    np.testing.assert_allclose(jnp.linalg.norm(of(unit)[0], axis=1), 1.0)
+    share = jnp.array([0.5, -0.3])
+    pushed, same = (v.plant().pushed(share * v.thrusters.max_thrust, nu) for v in (boat, unit))
+    np.testing.assert_allclose(same, pushed, rtol=1e-12)
 
 
 def test_the_squared_error_lies_where_a_run_was_spoilt():
@@ -135,7 +94,7 @@ def test_the_pages_show_the_tables_of_the_results():
     rows = [
         [words, *(f"{x:.3f}" for x in scored[name])]
         for words, name in (
-            ("fitted by trajectories, with effects of its own", "fitted"),
+            ("fitted by trajectories", "fitted"),
             ("the team's model", "vtec_s3.toml"),
         )
     ]
@@ -150,22 +109,18 @@ def test_the_page_says_what_was_found():
     for name in "no advance loss", "no turn lift":
         assert (np.array(left_out[name]) > left_out["all terms"])[[0, 2]].all()
     assert f"fits {len(FOUND['parameters'])} numbers to the eleven runs" in lines
-    logs = [FOUND["parameters"][f"surge_drag.log_{k}"] for k in range(6)]
-    drag = [np.exp(log) for _, log, _ in logs]
+    drags = [FOUND["parameters"][f"surge_drag.drag[{k}]"] for k in range(6)]
+    drag = [value for _, value, _ in drags]
     assert ", ".join(f"{d:.1f}" for d in drag[:5]) + f" and {drag[5]:.1f} N s/m" in lines
-    assert {round(np.exp(std)) for *_, std in logs[:3]} == {2, 3}
+    assert {round(np.exp(std / value)) for _, value, std in drags[:3]} == {2, 3}
     densest = FOUND["densest"]
     assert densest["run"] == "20210611_133412_guidance_exp4.csv"
     words = "{:.0f} % lies in 5 s of one run, 13:34 on 11 June from {:.1f} s on"
     assert words.format(100 * densest["share"], densest["begin"]) in lines
     answers = {answer["run"]: answer for answer in FOUND["diagnoses"]}
-    seconds = [answer["seconds"] for answer in answers.values()]
-    assert f"{min(seconds):.0f} to {max(seconds):.0f} s of one core each" in lines
     # Of the three defective runs the cause that is known comes first, of the others nothing is named.
     first = [(f["effect"], f["target"]) for run in usv.KNOWN for f in answers[run]["findings"][:1]]
     assert first == [("velocity_in_earth_axes", None), ("thruster_gain", "all"), ("thruster_gain", "all")]
     assert {a["verdict"] for run, a in answers.items() if run not in usv.KNOWN} == {"nothing_found"}
-    unknown = answers["20210608_145654_guidance_exp0.csv"]["findings"][-1]["excess"]
-    assert unknown["end"] - unknown["begin"] == pytest.approx(1.0) and unknown["unit"] == "N"
-    words = "from {:.1f} s on a force of {:.0f} N is missing for a second, {:.2f} of the full thrust"
-    assert words.format(unknown["begin"], unknown["rms"], unknown["share"]) in lines
+    last = [f["effect"] for f in answers["20210608_145654_guidance_exp0.csv"]["findings"][1:]]
+    assert last == ["thruster_gain"] and "stops following its commands as well is not known" in lines

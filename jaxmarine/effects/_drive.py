@@ -318,6 +318,7 @@ class ThrusterLag(DriveEffect, ActuatorEffect):
     confused_with = ("input_delay",)
     shown_by = "abrupt changes of command, logged at 10 Hz or faster"
     advice = "look at the motor controllers' ramp and at the propellers' inertia"
+    plausible = {"time_constant": (-math.inf, 60.0)}  # no engine takes longer; below 0 the file's is too long
 
     time_constant: Scalar
 
