@@ -252,22 +252,19 @@ def fleet_part(folder: Path, fleet: Sequence[Craft], dives: int) -> dict[str, An
 
 def lived(job: Job) -> Outcome:
     """A diagnosis, with what its process holds while and after it: memory maps, and memory [bytes]."""
-    from jaxmarine.fleets._work import diagnosed
-
-    def maps() -> int:
-        return len(Path("/proc/self/maps").read_bytes().splitlines())
+    from jaxmarine.fleets import _work
 
     over, most = threading.Event(), [0]
 
     def watch() -> None:
         while not over.wait(1.0):
-            most.append(maps())
+            most.append(_work._maps())
 
     watching = threading.Thread(target=watch)
     watching.start()
     began = time.process_time()
     try:
-        outcome = diagnosed(job)
+        outcome = _work.diagnosed(job)
     finally:
         over.set()
         watching.join()
@@ -275,8 +272,8 @@ def lived(job: Job) -> Outcome:
         "worker": psutil.Process().pid,
         "cpu": time.process_time() - began,
         "most": max(most),
-        "maps": maps(),
-        "memory": psutil.Process().memory_info().rss,
+        "maps": _work._maps(),
+        "memory": _work._memory(),
     }
     return dataclasses.replace(outcome, rows=(took,), files={})
 

@@ -9,8 +9,17 @@ import pytest
 
 from jaxmarine import InputError
 from jaxmarine._types import CHANNELS
+from jaxmarine.diagnosis import Layout
 from jaxmarine.disturbances import RandomWrench
-from jaxmarine.effects import ConstantWrench, LinearDamping, QuadraticDamping, ThrusterGain, place
+from jaxmarine.effects import (
+    ConstantWrench,
+    LinearDamping,
+    QuadraticDamping,
+    SensorDelay,
+    Suspect,
+    ThrusterGain,
+    place,
+)
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
@@ -133,9 +142,12 @@ def test_a_suspect_that_cannot_be_is_none(unchecked):
     flat, prior = x.reshape(-1, 5)[:, :3], np.diag([4.0, 0.3, 0.0])
     (*_, size) = np.linalg.solve(flat.T @ flat + prior, -flat.T @ y.ravel())
 
+    late = Suspect(SensorDelay, "velocity", {"delay": (0,)})
+    layout = Layout(np.zeros(1), (late,), (np.eye(1),))
+
     def judged(sign: float) -> bool:
-        late = SimpleNamespace(effect=SimpleNamespace(plausible={"delay": (0.0, 2.0)}), slots={"delay": (2,)})
-        layout = SimpleNamespace(suspects=[late], values=lambda i, z: {"delay": sign * np.sign(size) * z[0]})
+        chi2, slope, information = account.said
+        signed = dataclasses.replace(account, said=(chi2, sign * np.sign(size) * slope, information))
         judge: Any = object.__new__(_judge.Judge)
         judge.members = ()
         judge.ledger = SimpleNamespace(
@@ -143,7 +155,7 @@ def test_a_suspect_that_cannot_be_is_none(unchecked):
             suspicions=suspects,
             since=lambda account: since_each(account, 24, 4, np.arange(24.0), np.full(24, 10)),
         )
-        return judge._possible(account, Member(0, -np.inf))
+        return judge._possible(signed, Member(0, -np.inf))
 
     assert judged(1.0) and not judged(-1.0)
 

@@ -840,11 +840,8 @@ class Workbench:
         and on each axis, added mass included, a fifth to five times the inertia of the file.
         """
         for member, where in zip(model.members, self.slices(model.members), strict=True):
-            plausible = self.layout.suspects[member.suspect].effect.plausible
-            for name, value in self.layout.values(member.suspect, model.z[where]).items():
-                low, high = plausible.get(name, (-np.inf, np.inf))
-                if not low <= value <= high:
-                    return False
+            if not self.layout.plausible(member.suspect, model.z[where]):
+                return False
         own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
         plant_of, theta = self.problem(model.members).plant_of, jnp.asarray(self.theta(model))

@@ -60,6 +60,11 @@ class Layout:
         """A suspect's parameters by name, `z` away from neutral."""
         return dict(zip(self.suspects[i].slots, (self.neutral_of(i) + z).tolist(), strict=True))
 
+    def plausible(self, i: int, z: np.ndarray) -> bool:
+        """Whether a suspect's parameters, `z` away from neutral, are in its effect's ranges."""
+        values, ranges = self.values(i, z), self.suspects[i].effect.plausible
+        return all(low <= values[name] <= high for name, (low, high) in ranges.items() if name in values)
+
 
 def saturate(
     vehicle: Vehicle, catalogue: Sequence[type[AbstractEffect]] = CATALOGUE

@@ -188,33 +188,34 @@ class Judge:
 
         A sensor that shows what is yet to come explains much of a craft that its file does not describe.
         """
-        ranges = self.ledger.bench.layout.suspects[member.suspect].effect.plausible
-        values = self._estimated(account, (*self.members, member), len(self.members))[0]
-        return all(low <= values[name] <= high for name, (low, high) in ranges.items())
+        z, _ = self._estimated(account, (*self.members, member), len(self.members))
+        return self.ledger.bench.layout.plausible(member.suspect, z)
 
     def label(self, suspect: int) -> str:
         return self.ledger.bench.layout.suspects[suspect].label
 
     def parameters(self, which: int) -> dict[str, tuple[float, float, str]]:
         """Of a member, as it is known now: value, standard error, unit."""
-        ledger = self.ledger
-        values, std = self._estimated(ledger.accounts[0], self.members, which)
-        units = ledger.bench.layout.suspects[self.members[which].suspect].effect.units
+        ledger, suspect = self.ledger, self.members[which].suspect
+        z, std = self._estimated(ledger.accounts[0], self.members, which)
+        layout = ledger.bench.layout
+        values, units = layout.values(suspect, z), layout.suspects[suspect].effect.units
         return {
             name: (value, float(s), units[name]) for (name, value), s in zip(values.items(), std, strict=True)
         }
 
     def _estimated(
         self, account: Account, members: Sequence[Member], which: int
-    ) -> tuple[dict[str, float], np.ndarray]:
-        """Parameters of one of some members, all known beside an account, and their standard errors."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """z of one of some members, all estimated beside an account, and its standard errors."""
         suspicions, since = self.ledger.suspicions, self.ledger.since(account)
         z = suspicions.estimate(since, members)
         std = np.sqrt(np.diag(suspicions.covariance(since, members)))
-        at = len(suspicions.base) + sum(suspicions.columns[m.suspect].shape[1] for m in members[:which])
-        layout, suspect = self.ledger.bench.layout, members[which].suspect
-        here = slice(at, at + len(layout.suspects[suspect].slots))
-        return layout.values(suspect, z[here]), std[here]
+        ends = len(suspicions.base) + np.cumsum(
+            [0, *(suspicions.columns[m.suspect].shape[1] for m in members)]
+        )
+        here = slice(ends[which], ends[which + 1])
+        return z[here], std[here]
 
 
 def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:

@@ -67,8 +67,7 @@ class Intake:
                     "map the columns."
                 )
             if self.vehicle.prior:
-                told += self.once(
-                    "prior",
+                told.append(
                     f"The file of {self.vehicle.name} says in [prior] that its numbers may be far off, and a "
                     "name may stand in for what they miss; fit it to a log (`jaxmarine fit`), and narrow or "
                     "remove that table, before names count.",
