@@ -437,22 +437,22 @@ def _told(key, vehicle):
 
 def _checked_free(free):
     """Raises unless `--free` names what a fit can free, once."""
-    twice = "damping" in free and {"linear", "quadratic"} & {*free}
-    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
-    if len(set(free)) < len(free) or twice:
-        raise InputError(
-            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
-            "`added_mass`); once will do."
-        )
     from .effects import CATALOGUE
 
     names = (*_FREE, *_kinds())
+    twice = "damping" in free and {"linear", "quadratic"} & {*free}
+    twice = twice or ("coupling" in free and {"damping", "linear", "quadratic", "added_mass"} & {*free})
+    if len(set(free)) < len(free) or twice or ("all" in free and {*names} & {*free}):
+        raise InputError(
+            "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
+            "`added_mass`, `all` every one but of effects); once will do."
+        )
     effects = {effect.name for effect in CATALOGUE}
-    for name in free if free != ["all"] else ():
+    for name in (one for one in free if one != "all"):
         if name not in names and name.partition(":")[0] not in effects:
             raise InputError(
                 f"--free {name}: is not known; choose from {', '.join(names)}, take an effect of the "
-                "catalogue, such as `turning_lift` or `thruster_gain:all`, or all alone."
+                "catalogue, such as `turning_lift` or `thruster_gain:all`, or all."
             )
 
 
@@ -466,11 +466,13 @@ def _freed(free, craft):
     lacks |= set() if craft.thruster_names else {*_OF_THRUSTERS}
     # Of fixed thrusters alone.
     lacks |= {"advance_loss"} if "swivel" in has else set()
-    if free == ["all"]:
+    if "all" in free:
+        beside = [name for name in free if name != "all"]
         # What a log with a prior can tell of a craft.
         free = [name for name in ("coupling", *_OF_THRUSTERS, *kinds) if name not in lacks]
         if {"surge", "sway", "yaw"} <= {*craft.dof} and ("surface" in has or "heave" not in craft.dof):
             free += _OF_HULLS
+        free += [name for name in beside if name not in free]
     chosen = []
     for name in free:
         if name in lacks:
@@ -497,7 +499,7 @@ def fit(
         typer.Option(
             "--free",
             help=f"What is fitted: {', '.join(_FREE)}, a kind of actuators that the file has (propeller, "
-            "surface, wind, ...), or an effect, EFFECT[:TARGET], or all; repeat for several.",
+            "surface, wind, ...), an effect, EFFECT[:TARGET], or all but the effects; repeat for several.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),
@@ -520,7 +522,7 @@ def fit(
 
     _checked_free(free)
     _file(out)
-    prior = _ALL_PRIOR if prior is None and free == ["all"] else prior
+    prior = _ALL_PRIOR if prior is None and "all" in free else prior
     craft, free, chosen = _freed(free, load_vehicle(vehicle))
     columns_map = _columns(columns)
     logs = read_logs(train, craft, columns_map)

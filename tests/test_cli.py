@@ -272,6 +272,7 @@ def test_an_effect_that_is_fitted_has_a_target_of_the_vehicle(jaxmarine, folder)
     [
         (["--free", "linear"], "names a coefficient twice"),
         (["--free", "coupling"], "names a coefficient twice"),
+        (["--free", "all"], "names a coefficient twice"),
         (["--prior", "0"], "--prior 0: is no width"),
         (["--prior", "nan"], "--prior nan: is no width"),
     ],
@@ -372,8 +373,14 @@ def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, 
 
 @pytest.mark.parametrize(
     ("free", "entries", "leaves"),
-    # Of `all` four of thrusters too, and six numbers of a hull's lift, which the file does not have.
-    [("coupling", "coupled", 3), ("all", "coupled", 13), ("linear", "diagonal", 1)],
+    # Of `all` four of thrusters too, and six numbers of a hull's lift, which the file does not have; a current
+    # has three, and lift is free once.
+    [
+        (("coupling",), "coupled", 3),
+        (("all",), "coupled", 13),
+        (("steady_current", "all", "hull_lift"), "coupled", 16),
+        (("linear",), "diagonal", 1),
+    ],
 )
 def test_fit_frees_what_couples_axes_where_it_is_asked_for(
     jaxmarine, folder, ship, monkeypatch, free, entries, leaves
@@ -386,9 +393,10 @@ def test_fit_frees_what_couples_axes_where_it_is_asked_for(
 
     monkeypatch.setattr("jaxmarine.fitting.fit", fit)
     words = call("fit", folder)
-    words[words.index("damping")] = free
+    place = words.index("--free")
+    words[place : place + 2] = [word for name in free for word in ("--free", name)]
     assert jaxmarine(*words)[0] == 2
-    assert asked == [(leaves, entries, 0.3 if free == "all" else None)]
+    assert asked == [(leaves, entries, 0.3 if "all" in free else None)]
 
 
 def test_a_demo_that_is_stopped_has_written_nothing(jaxmarine, folder, monkeypatch):
