@@ -373,8 +373,8 @@ def test_fit_frees_thrust_astern_and_the_curve_by_themselves(jaxmarine, folder, 
 
 @pytest.mark.parametrize(
     ("free", "entries", "leaves"),
-    # Of `all` four of thrusters too, and six numbers of a hull's lift, which the file does not have; a current
-    # has three, and lift is free once.
+    # Of `all` four of thrusters too, and six numbers of a hull's lift, which the file does not have; a
+    # current has three, and lift is free once.
     [
         (("coupling",), "coupled", 3),
         (("all",), "coupled", 13),

@@ -23,10 +23,12 @@ EXCHANGED = Effect("exchanged_thrusters", "star+port", {})
 
 
 @functools.cache
-def sailed(*hidden: tuple, ship: str = BOAT, seconds: float = SECONDS, seed: int = 3) -> jm.Log:
+def sailed(
+    *hidden: tuple, ship: str = BOAT, seconds: float = SECONDS, seed: int = 3, level: float = 1.0
+) -> jm.Log:
     """A log of the independent plant with sensor noise; `hidden` as (effect, target, parameters)."""
     truth, rng = load(ship), np.random.default_rng(seed)
-    commands = excitation.commands(truth, round(seconds / cases.DT), rng, "rich").round(6)
+    commands = (level * excitation.commands(truth, round(seconds / cases.DT), rng, "rich")).round(6)
     effects = [Effect(name, target, dict(values)) for name, target, values in hidden]
     run = cases.roll_out(truth, effects, commands, 0.7)
     channels = run.seen() + truth.noise * rng.standard_normal((len(commands), 18))
@@ -136,6 +138,62 @@ def test_columns_exchanged_and_one_of_the_wrong_sign_are_told_together():
     errors = misconnected(packaged(BOAT), (with_columns(sailed(), [1, 0, 2], [-1, 1, 1]),))
     assert names(errors) == [("exchanged_thrusters", "star+port"), ("thruster_gain", "port")]
     assert "the column of star has the wrong sign" in errors[0].told
+
+
+HEAVY = "bluerov2_heavy"
+
+
+@functools.cache
+def heavy(*hidden: tuple) -> jm.Log:
+    """Eight thrusters that a pilot moves in six ways; t6 and t8 exchanged, or t5 and t7, never pitch it."""
+    return sailed(*hidden, ship=HEAVY, seconds=200.0, level=0.7)
+
+
+CROSSED = ("exchanged_thrusters", "t6+t8", ())
+
+
+def test_of_exchanges_that_answer_alike_both_are_told():
+    (error,) = misconnected(packaged(HEAVY), (heavy(CROSSED),))
+    told = [(one.effect.name, one.target) for one in (*error.causes, *error.instead)]
+    assert sorted(told) == [("exchanged_thrusters", "t5+t7"), ("exchanged_thrusters", "t6+t8")]
+    assert "the columns of t6 and t8 are exchanged" in error.told
+    assert "the columns of t5 and t7 are exchanged" in error.told
+
+
+def test_what_commands_never_show_speaks_for_nothing():
+    """The measured answers are those of the plant with its columns exchanged, as far as commands tell."""
+    seen = responses(packaged(HEAVY), (heavy(CROSSED),))
+    assert seen is not None
+    # Four thrusters in each plane, three ways to move it.
+    np.testing.assert_allclose(seen.shown @ seen.shown, seen.shown, atol=1e-6)
+    assert round(float(np.trace(seen.shown))) == 6
+    order = [seen.names.index(name) for name in ("t1", "t2", "t3", "t4", "t5", "t8", "t7", "t6")]
+    std = np.sqrt(np.einsum("ajj->aj", seen.covariance))
+    size = np.abs(seen.filed).max(axis=1, keepdims=True)
+    apart = np.abs(seen.measured - seen.filed[:, order] @ seen.shown.T)
+    assert (apart < 5 * std + 0.15 * size).all()
+
+
+def test_an_axis_that_hardly_answers_is_no_exchange():
+    """A file that is far off in one axis, and an autopilot that hides what it answers."""
+    seen = responses(packaged(HEAVY), (heavy(),))
+    assert seen is not None and read_otherwise(seen) == ()
+    pitch = np.arange(6) == 4
+    weak = seen._replace(measured=np.where(pitch[:, None], seen.measured / 10, seen.measured))
+    assert read_otherwise(weak) == ()
+    none = seen._replace(measured=np.where(pitch[:, None], 0.0, seen.measured))
+    assert read_otherwise(none) != ()
+    assert read_otherwise(none._replace(spread=np.inf)) == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_answers_that_scatter_beyond_all_readings_speak_for_none(seed):
+    """Without their dispersion some reading of many would be 50 nats likelier than the file."""
+    seen = responses(packaged(HEAVY), (heavy(),))
+    assert seen is not None
+    noise = np.random.default_rng(seed).normal(size=seen.measured.shape)
+    size = np.abs(seen.filed).max(axis=1, keepdims=True)
+    assert read_otherwise(seen._replace(measured=seen.measured + size * noise @ seen.shown.T)) == ()
 
 
 def test_without_a_track_an_axis_may_be_of_the_wrong_sign_as_well():

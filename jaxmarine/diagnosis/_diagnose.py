@@ -26,7 +26,7 @@ from ._learn import learn
 from ._model import Model, Workbench
 from ._plausible import excesses, told
 from ._prepare import Opened, fitted, opened_with, sharpened
-from ._result import Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
+from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
 from ._supplied import unsupplied
@@ -83,7 +83,7 @@ def diagnose(
     measured = measured or learned or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
     connected = bench.as_connected() if opened.exchanged else bench
-    findings = _exchanges(connected, now, opened.exchanged) + findings_of(bench, now, rounds, std)
+    findings = _exchanges(connected, now, opened) + findings_of(bench, now, rounds, std)
     logs, tests = bench.data.logs, opened.tests
     apart = None if now.white else disagreement(extended, logs, bench.noise)
     missing = missing_wrench(now.knots)
@@ -265,16 +265,18 @@ def _learned(
     return terms, measured, notes
 
 
-def _exchanges(connected: Workbench, now: Judged, exchanged: Sequence[Placed]) -> tuple[Finding, ...]:
+def _exchanges(connected: Workbench, now: Judged, opened: Opened) -> tuple[Finding, ...]:
     """A finding for each pair of columns that are exchanged; their evidence is that of all together.
 
     - `connected`: the workbench with the columns as filed.
     """
-    if not exchanged:
+    if not opened.exchanged:
         return ()
     without = connected.refine(now.model)
     # Where the vehicle runs away along the log with the columns as filed, it is as good as certain.
     saved = min(2 * (without.cost - now.model.cost), 2 * CERTAIN * now.phi)
+    own = 0.5 * saved / now.phi
+    same = tuple(Alternative(one.effect.name, one.target, own, True) for one in opened.instead)
     return tuple(
         Finding(
             effect=one.effect.name,
@@ -282,9 +284,10 @@ def _exchanges(connected: Workbench, now: Judged, exchanged: Sequence[Placed]) -
             since=None,
             since_log=None,
             parameters={},
-            log_evidence=0.5 * saved / now.phi,
+            log_evidence=own,
+            alternatives=same,
         )
-        for one in exchanged
+        for one in opened.exchanged
     )
 
 

@@ -70,7 +70,8 @@ class Opened:
     """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell.
 
     - `gross`: sentences on gross errors, which come before all else.
-    - `exchanged`: columns that are, which the workbench's vehicle has exchanged already.
+    - `exchanged`: columns that are, which the workbench's vehicle has exchanged already; `instead`: what the
+      logs cannot tell from it, where it is one pair.
     - `nameless`: whether something that no effect is makes all names worthless.
     - `feedback`: whether commands answer what was measured, and with it what disturbs the craft.
     """
@@ -81,6 +82,7 @@ class Opened:
     gross: tuple[str, ...]
     notes: tuple[str, ...]
     exchanged: tuple[Placed, ...] = ()
+    instead: tuple[Placed, ...] = ()
     nameless: bool = False
     feedback: bool = False
 
@@ -125,7 +127,15 @@ def opened_with(
     gross = tuple(one.told for one in wrong)
     nameless = any(not one.causes for one in wrong)
     return Opened(
-        rescaled(bench, begun), begun, tests, gross, tuple(notes), exchanged, nameless, bool(answered)
+        bench=rescaled(bench, begun),
+        begun=begun,
+        tests=tests,
+        gross=gross,
+        notes=tuple(notes),
+        exchanged=exchanged,
+        instead=tuple(cause for one in wrong for cause in one.instead) if len(exchanged) == 1 else (),
+        nameless=nameless,
+        feedback=bool(answered),
     )
 
 

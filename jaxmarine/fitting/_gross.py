@@ -37,11 +37,13 @@ class GrossError(NamedTuple):
     """What is grossly wrong, in a sentence, and the causes of the catalogue that it is; none has no name.
 
     - `evidence` [nats]: by which it is likelier than that log and file agree.
+    - `instead`: of a single cause, others that the log cannot tell from it.
     """
 
     told: str
     causes: tuple[Placed, ...]
     evidence: float
+    instead: tuple[Placed, ...] = ()
 
 
 def gross_errors(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
@@ -116,7 +118,8 @@ def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]
     # Where sensors that measure an axis twice agree, its sign is right.
     kept = [one for one in readings if not {*one.axes} & agreed] or list(readings)
     named = [one for one in kept if not one.axes]
-    causes = _causes(vehicle, named[0]) if named else ()
+    causes, *others = [_causes(vehicle, one) for one in named] or [()]
+    instead = tuple(other[0] for other in others if len(causes) == len(other) == 1)
     axes, thrusters = opposite(seen)
     ways = ", or ".join(dict.fromkeys(_words(one) for one in kept))
     what = (
@@ -126,7 +129,7 @@ def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]
     # A mirrored log is one whose sensors agree.
     mirrored = any({*one.axes} & {"sway", "yaw"} for one in readings if one not in kept)
     other = ", or the log is mirrored (y, psi, v and r all have the wrong sign)" if mirrored else ""
-    return (GrossError(f"{head}: {ways}{other}.", causes, readings[0].odds),)
+    return (GrossError(f"{head}: {ways}{other}.", causes, readings[0].odds, instead),)
 
 
 def _of_others(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:

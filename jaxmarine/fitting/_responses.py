@@ -18,6 +18,7 @@ from ..logs import Log, smooth_states
 from ..vehicle import Vehicle
 from ._clock import BLOCKS, FEWEST, STRETCH, impulses, integrals, others
 from ._driven import thrusts
+from ._feedback import answers
 
 # Pairs of velocities along axes, and of rates about them.
 _MUNK = ((0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5))
@@ -31,6 +32,9 @@ _SMALL = 0.3
 _OFFSETS = np.arange(-0.5, 1.55, 0.1)
 # An axis answers where its largest answer by the file is above this share of the largest of its kind.
 _LEAST = 0.05
+# Factors by which an axis may answer more or less than filed, and of how much two in three are: thrust over
+# inertia of a guessed file.
+_FACTORS, _USUAL = np.exp(np.linspace(-6.0, 6.0, 121)), np.log(2.0)
 # Nats beyond the number of readings that are tried, and within which two are not told apart: odds of 1 to
 # 150, and of 1 to 20.
 _MARGIN, _CLOSE = 5.0, 3.0
@@ -42,6 +46,9 @@ class Responses(NamedTuple):
     - `names`; `measured`, `filed` [axes, thrusters]; zero on axes that are locked.
     - `covariance` [axes, thrusters, thrusters]: by the scatter over blocks of the logs.
     - `known` [axes]: which axes move.
+    - `shown` [thrusters, thrusters]: `measured` is what the commands show of the true answers. Of many
+      thrusters a pilot never moves some combination, of whose answer nothing is measured.
+    - `spread`: of the logarithm of the factor by which an axis answers more or less than filed.
     """
 
     names: tuple[str, ...]
@@ -49,6 +56,8 @@ class Responses(NamedTuple):
     filed: Float[np.ndarray, "6 thrusters"]
     covariance: Float[np.ndarray, "6 thrusters thrusters"]
     known: np.ndarray
+    shown: Float[np.ndarray, "thrusters thrusters"]
+    spread: float
 
 
 class Reading(NamedTuple):
@@ -103,19 +112,21 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     if not known.any():
         return None
 
-    def regressed(offset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def regressed(offset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         columns = np.concatenate([pushed[offset], around], axis=1)
         # Without units, and without what the others tell already.
         scale = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
         q, r = np.linalg.qr(columns / scale)
-        inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T
+        solved = np.linalg.pinv(r, rcond=1e-6)
+        inverse, own = solved @ q.T, scale[:count]
         slopes = inverse @ gained
         rest = gained - columns / scale @ slopes
-        return inverse[:count] / scale[:count, None], slopes[:count] / scale[:count, None], rest
+        shown = (solved @ r)[:count, :count] / own[:, None] * own
+        return inverse[:count] / own[:, None], slopes[:count] / own[:, None], rest, shown
 
     fits = [regressed(i) for i in range(len(_OFFSETS))]
     best = min(fits, key=lambda fit: np.log(np.maximum(fit[2][:, known].std(axis=0), 1e-12)).sum())
-    inverse, slopes, rest = best
+    inverse, slopes, rest, shown = best
     # What each block adds to the slopes by its residuals, whose sum is zero.
     block = np.arange(len(gained)) * BLOCKS // len(gained)
     starts = np.searchsorted(block, np.arange(BLOCKS))
@@ -125,7 +136,9 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     # Of some blocks the scatter is a rough number: never less than that of stretches one by one.
     filed = np.asarray(vehicle.plant().allocation)[:, used] * vehicle.free[:, None]
     names = tuple(name for name, one in zip(vehicle.thruster_names, used, strict=True) if one)
-    return Responses(names, slopes.T, filed, lasting + alone, known)
+    # Where commands answer what was measured, less is seen of what axes answer, down to nothing.
+    spread = np.inf if any(map(answers, logs)) else _USUAL
+    return Responses(names, slopes.T, filed, lasting + alone, known, shown, spread)
 
 
 def read_otherwise(seen: Responses) -> tuple[Reading, ...]:
@@ -153,13 +166,21 @@ def read_otherwise(seen: Responses) -> tuple[Reading, ...]:
         )
         for a, b in itertools.combinations(single, 2)
     ]
-    price, plain = np.log(len(single)), _unlikely(seen, seen.filed)
-    found: dict[Hypothesis, tuple[float, int]] = {}
-    for mistakes, ways in ((1, single), (2, double)):
-        for way in ways:
-            rows = np.array(way[2])[:, None] * seen.filed[:, list(way[0])] * np.array(way[1])
-            if way not in found and not np.allclose(rows, seen.filed):
-                found[way] = plain - _unlikely(seen, rows) - mistakes * price, mistakes
+    price = np.log(len(single))
+    ways: dict[Hypothesis, int] = {eye: 0}
+    for mistakes, these in ((1, single), (2, double)):
+        for way in these:
+            ways.setdefault(way, mistakes)
+    left = {way: _unlikely(seen, _read(seen, way)) for way in ways}
+    # What not even the likeliest of them explains is how far answers scatter (overdispersion).
+    likeliest = _read(seen, min(left, key=lambda way: left[way]))
+    freedom = max(len(moving) * (count - 1), 1)
+    phi = max(2 * _unlikely(seen._replace(spread=np.inf), likeliest) / freedom, 1.0)
+    found = {
+        way: ((left[eye] - left[way]) / phi - mistakes * price, mistakes)
+        for way, mistakes in ways.items()
+        if not np.allclose(_read(seen, way), seen.filed)
+    }
     best = max(found.values(), default=(-np.inf, 0))
     if best[0] < _MARGIN:
         return ()
@@ -173,6 +194,11 @@ def read_otherwise(seen: Responses) -> tuple[Reading, ...]:
 
 # Of each column the thruster that it drives, the sign of its command, and the sign of each axis.
 Hypothesis = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
+
+
+def _read(seen: Responses, way: Hypothesis) -> Float[np.ndarray, "6 thrusters"]:
+    """The answers of the file, if columns and axes are read this way."""
+    return np.array(way[2])[:, None] * seen.filed[:, list(way[0])] * np.array(way[1])
 
 
 def _exchanged(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
@@ -227,14 +253,15 @@ def _unlikely(seen: Responses, expected: Float[np.ndarray, "6 thrusters"]) -> fl
     """Minus the logarithm of the likelihood of the responses, each axis with a factor above zero."""
     total = 0.0
     for axis in np.flatnonzero(_answers(seen)):
-        got, rows = seen.measured[axis], expected[axis]
+        got, rows = seen.measured[axis], seen.shown @ expected[axis]
         filed = np.abs(seen.filed[axis])
         filed *= np.linalg.norm(got) / np.linalg.norm(filed)
         # Of each answer what lies between measured and filed, the same for all readings.
         size = np.maximum((np.abs(got) + filed) / 2, _SMALL * np.sqrt((got**2).mean()))
         covariance = seen.covariance[axis] + np.diag((_OFF * size) ** 2)
         weighed = np.linalg.solve(covariance, np.stack([got, rows], axis=1))
-        factor = max(float(rows @ weighed[:, 0]) / float(rows @ weighed[:, 1]), 0.0)
-        left = got - factor * rows
-        total += 0.5 * float(left @ np.linalg.solve(covariance, left))
+        square = (
+            got @ weighed[:, 0] - 2 * _FACTORS * (rows @ weighed[:, 0]) + _FACTORS**2 * (rows @ weighed[:, 1])
+        )
+        total += 0.5 * float((square + (np.log(_FACTORS) / seen.spread) ** 2).min())
     return total
