@@ -24,6 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import typer
 from jaxtyping import Float
+from scipy.stats import bootstrap
 
 import jaxmarine as jm
 from experiments._study import save_figure, study, write_results
@@ -114,6 +115,21 @@ def rms(predictions: Sequence[Errors], logs: Sequence[jm.Log]) -> list[float]:
     return np.sqrt(np.nanmean(errors**2, axis=0)).tolist()
 
 
+def within(predictions: Sequence[Errors], logs: Sequence[jm.Log]) -> list[list[float]]:
+    """95 % intervals of `rms`, by a bootstrap of whole predictions (after Efron 1979)."""
+    each = []
+    for one, log in zip(predictions, logs, strict=True):
+        square, steps = (one - log.channels[:, PLACES]) ** 2, round(HORIZON / log.dt)
+        whole = len(square) - (len(square) - 1) % steps - 1
+        each.append(square[:whole].reshape(-1, steps, len(CHANNELS)).mean(axis=1))
+
+    def of(squares: np.ndarray, axis: int) -> np.ndarray:
+        return np.sqrt(squares.mean(axis=axis))
+
+    drawn = bootstrap((np.concatenate(each),), of, axis=0, method="percentile", rng=np.random.default_rng(0))
+    return np.stack([drawn.confidence_interval.low, drawn.confidence_interval.high], axis=-1).tolist()
+
+
 def figure(models: dict[str, jm.Vehicle], logs: Sequence[jm.Log], path: Path) -> None:
     """Measured and predicted velocities of each run."""
     plot, axes = plt.subplots(3, len(logs), figsize=(4.2 * len(logs), 6.5), sharex="col", squeeze=False)
@@ -174,6 +190,17 @@ def markdown(results: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def errors(models: dict[str, jm.Vehicle], logs: Sequence[jm.Log]) -> dict[str, Any]:
+    """Of each model the root mean square errors, and the intervals that hold them."""
+    every = {name: [predicted(vehicle, log) for log in logs] for name, vehicle in models.items()}
+    every = {"start velocity held": [held(log) for log in logs], **every}
+    return {
+        "scored_on": ", ".join(Path(log.name).stem for log in logs),
+        "rms": {name: rms(one, logs) for name, one in every.items()},
+        "within": {name: within(one, logs) for name, one in every.items()},
+    }
+
+
 def main(
     data: Annotated[Path, typer.Option(help="Folder with the runs as CSV.")],
     out: Annotated[Path, typer.Option(help="Folder for models, results and figures.")],
@@ -221,12 +248,7 @@ def main(
             results["diagnosis"] = told(out / "report")
             results["diagnosis of the fit with effects"] = told(out / "report_of_a_boat")
         logs = [jm.read_log(path, models["guessed file"], COLUMNS) for path in test]
-        results |= {
-            "scored_on": ", ".join(path.stem for path in test),
-            "rms": {"start velocity held": rms([held(log) for log in logs], logs)}
-            | {name: rms([predicted(v, log) for log in logs], logs) for name, v in models.items()},
-            "seconds": seconds,
-        }
+        results |= errors(models, logs) | {"seconds": seconds}
         write_results(out, results, markdown(results))
         figure(models, logs, out / "test.png")
     print(markdown(results))

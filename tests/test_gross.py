@@ -186,7 +186,7 @@ def test_an_axis_that_hardly_answers_is_no_exchange():
     assert read_otherwise(none._replace(spread=np.inf)) == ()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_answers_that_scatter_beyond_all_readings_speak_for_none(seed):
     """Without their dispersion some reading of many would be 50 nats likelier than the file."""
     seen = responses(packaged(HEAVY), (heavy(),))

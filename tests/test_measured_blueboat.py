@@ -36,6 +36,21 @@ def test_a_held_start_misses_by_what_comes_after_it():
     assert study.rms([study.held(log)], [log]) == pytest.approx([expected, 0.0, 0.0], abs=1e-12)
 
 
+def test_an_interval_is_as_wide_as_predictions_differ():
+    """Of errors that are alike within a prediction of 5 s, by the linearised spread of their mean square."""
+    size = np.abs(np.random.default_rng(1).normal(1.0, 0.3, (60, 3)))
+    channels = np.zeros((60 * 50 + 20, 18))
+    log = Log(0.1 * np.arange(len(channels)), channels, np.zeros((len(channels), 2)), None, ("l", "r"), "log")
+    missed = np.full((len(channels), 3), np.nan)
+    missed[: 60 * 50] = np.repeat(size, 50, axis=0)
+    low, high = np.array(study.within([missed], [log])).T
+    root = np.sqrt((size**2).mean(axis=0))
+    spread = (size**2).std(axis=0) / np.sqrt(60) / (2 * root)
+    # Of ten thousand draws, and of a root that is not quite linear.
+    np.testing.assert_allclose((high - low) / (2 * 1.96 * spread), 1.0, atol=0.1)
+    assert ((low < root) & (root < high)).all()
+
+
 def test_the_guess_and_its_maps_are_files_that_are_read():
     guess = load_vehicle(study.GUESS)
     assert guess.dof == ("surge", "sway", "yaw") and guess.thruster_names == ("left", "right")
@@ -49,3 +64,6 @@ def test_the_table_of_the_page_is_that_of_the_results():
     page = (study.HERE / "README.md").read_text()
     for name, values in results["rms"].items():
         assert f"| {name} | " + " | ".join(f"{x:.3f}" for x in values) + " |" in page
+    (low, high), _, _ = results["within"][f"jaxmarine fit, also {', '.join(study.OF_BOATS)}"]
+    assert low < study.TRIAL["trial: also gains, dead band, damping with |u| r"][0] < high
+    assert f"the error in u is {low:.3f} to {high:.3f} m/s (95 %)" in " ".join(page.split())
