@@ -121,10 +121,10 @@ def within(predictions: Sequence[Errors], logs: Sequence[jm.Log]) -> list[list[f
     for one, log in zip(predictions, logs, strict=True):
         square, steps = (one - log.channels[:, PLACES]) ** 2, round(HORIZON / log.dt)
         whole = len(square) - (len(square) - 1) % steps - 1
-        each.append(square[:whole].reshape(-1, steps, len(CHANNELS)).mean(axis=1))
+        each.append(np.nanmean(square[:whole].reshape(-1, steps, len(CHANNELS)), axis=1))
 
     def of(squares: np.ndarray, axis: int) -> np.ndarray:
-        return np.sqrt(squares.mean(axis=axis))
+        return np.sqrt(np.nanmean(squares, axis=axis))
 
     drawn = bootstrap((np.concatenate(each),), of, axis=0, method="percentile", rng=np.random.default_rng(0))
     return np.stack([drawn.confidence_interval.low, drawn.confidence_interval.high], axis=-1).tolist()

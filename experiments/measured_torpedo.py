@@ -158,9 +158,7 @@ def restarted(vehicle: jm.Vehicle, log: jm.Log) -> Shown:
     out = np.full((len(log.t), len(CHANNELS)), np.nan)
     # Three of them fit into a run.
     for part, rows in parts(log, HORIZONS[-1], 0.99 * HORIZONS[-1]):
-        shown, heading = simulated(vehicle, part), part.channels[:, PLACES[2]]
-        # Of the numbers that one heading has that which is next to the measured one.
-        out[rows] = np.column_stack([shown[:, :2], heading + wrap_to_pi(shown[:, 2] - heading)])
+        out[rows] = simulated(vehicle, part)
     return out
 
 
@@ -169,8 +167,14 @@ def figure(models: dict[str, jm.Vehicle], logs: Sequence[jm.Log], path: Path) ->
     plot, axes = plt.subplots(3, len(logs), figsize=(4.2 * len(logs), 6.5), sharex="col", squeeze=False)
     for column, log in enumerate(logs):
         t = log.t - log.t[0]
-        shown = {"measured": log.channels[:, PLACES]}
-        shown |= {name: restarted(vehicle, log) for name, vehicle in models.items()}
+        measured, turn = log.channels[:, PLACES].copy(), CHANNELS.index("psi")
+        # A heading that does not jump by a turn, and of the numbers that one has those that are next to it.
+        there = np.isfinite(measured[:, turn])
+        measured[there, turn] = np.unwrap(measured[there, turn])
+        shown = {"measured": measured}
+        for name, vehicle in models.items():
+            shown[name] = restarted(vehicle, log)
+            shown[name][:, turn] = measured[:, turn] + wrap_to_pi(shown[name][:, turn] - measured[:, turn])
         for color, (name, values) in zip(("0.6", "C0", "C1", "C2"), shown.items(), strict=False):
             for row in range(3):
                 axes[row, column].plot(t, values[:, row], color=color, lw=1.2, label=name)

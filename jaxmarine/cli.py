@@ -445,7 +445,7 @@ def _checked_free(free):
     if len(set(free)) < len(free) or twice or ("all" in free and {*names} & {*free}):
         raise InputError(
             "--free: names a coefficient twice (`damping` is `linear` and `quadratic`, `coupling` these and "
-            "`added_mass`, `all` every one but of effects); once will do."
+            "`added_mass`, `all` every one of these); once will do."
         )
     effects = {effect.name for effect in CATALOGUE}
     for name in (one for one in free if one != "all"):
@@ -499,7 +499,8 @@ def fit(
         typer.Option(
             "--free",
             help=f"What is fitted: {', '.join(_FREE)}, a kind of actuators that the file has (propeller, "
-            "surface, wind, ...), an effect, EFFECT[:TARGET], or all but the effects; repeat for several.",
+            "surface, wind, ...), an effect, EFFECT[:TARGET], or all (of effects a hull's lift alone); "
+            "repeat for several.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Fitted vehicle file.")] = Path("fitted.toml"),

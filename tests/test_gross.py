@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,11 +11,18 @@ import jaxmarine as jm
 from experiments.blind import cases, excitation
 from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
+from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import gain_of
+from jaxmarine.diagnosis._criteria import DEFAULT
+from jaxmarine.diagnosis._diagnose import _exchanges
+from jaxmarine.diagnosis._judge import Judged
+from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._prepare import Opened
 from jaxmarine.effects import ExchangedThrusters
 from jaxmarine.fitting import gross_errors, misconnected
 from jaxmarine.fitting._kinematics import contradiction, misread
 from jaxmarine.fitting._responses import read_otherwise, responses
+from jaxmarine.vehicle import Placed
 from tests.boats import boat, record, steps
 from tests.crafts import packaged
 
@@ -152,12 +160,37 @@ def heavy(*hidden: tuple) -> jm.Log:
 CROSSED = ("exchanged_thrusters", "t6+t8", ())
 
 
-def test_of_exchanges_that_answer_alike_both_are_told():
-    (error,) = misconnected(packaged(HEAVY), (heavy(CROSSED),))
+# As the plant has them, and as pulses of whole microseconds, 400 of which are full thrust.
+@pytest.mark.parametrize("step", [1e-6, 2.5e-3])
+def test_of_exchanges_that_answer_alike_both_are_told(step):
+    log = heavy(CROSSED)
+    assert log.commands is not None
+    log = dataclasses.replace(log, commands=step * np.round(log.commands / step))
+    (error,) = misconnected(packaged(HEAVY), (log,))
     told = [(one.effect.name, one.target) for one in (*error.causes, *error.instead)]
-    assert sorted(told) == [("exchanged_thrusters", "t5+t7"), ("exchanged_thrusters", "t6+t8")]
+    assert told == [("exchanged_thrusters", "t5+t7"), ("exchanged_thrusters", "t6+t8")]
     assert "the columns of t6 and t8 are exchanged" in error.told
     assert "the columns of t5 and t7 are exchanged" in error.told
+
+
+@pytest.mark.parametrize(("behind", "close"), [(0.5, True), (40.0, False)])
+def test_what_may_be_exchanged_instead_is_weighed_by_the_whole_likelihood(behind, close):
+    """Costs of 100 with the columns as found, more by the other pair, and 1100 as filed; dispersion 2."""
+
+    def pretended(cost):
+        bench = Mock(spec=Workbench, criteria=DEFAULT)
+        bench.refine.return_value.cost = cost
+        return bench
+
+    other, bench = Placed(ExchangedThrusters(), "t6+t8"), pretended(100.0)
+    bench.as_connected.side_effect = {other: pretended(100.0 + behind)}.get
+    now = Mock(spec=Judged, model=Mock(spec=Model, cost=100.0), phi=2.0)
+    opened = Mock(spec=Opened, exchanged=(Placed(ExchangedThrusters(), "t5+t7"),), instead=(other,))
+    (finding,) = _exchanges(bench, pretended(1100.0), now, opened)
+    assert (finding.label, finding.log_evidence) == ("exchanged_thrusters:t5+t7", 500.0)
+    (found,) = finding.alternatives
+    assert (found.label, found.indistinguishable) == ("exchanged_thrusters:t6+t8", close)
+    assert found.log_evidence == 500.0 - behind / 2
 
 
 def test_what_commands_never_show_speaks_for_nothing():
@@ -165,25 +198,55 @@ def test_what_commands_never_show_speaks_for_nothing():
     seen = responses(packaged(HEAVY), (heavy(CROSSED),))
     assert seen is not None
     # Four thrusters in each plane, three ways to move it.
-    np.testing.assert_allclose(seen.shown @ seen.shown, seen.shown, atol=1e-6)
-    assert round(float(np.trace(seen.shown))) == 6
+    np.testing.assert_allclose(seen.shown @ seen.shown, seen.shown, atol=1e-9)
+    assert np.trace(seen.shown) == pytest.approx(6, abs=1e-9)
     order = [seen.names.index(name) for name in ("t1", "t2", "t3", "t4", "t5", "t8", "t7", "t6")]
     std = np.sqrt(np.einsum("ajj->aj", seen.covariance))
     size = np.abs(seen.filed).max(axis=1, keepdims=True)
     apart = np.abs(seen.measured - seen.filed[:, order] @ seen.shown.T)
+    # Beside the noise what a file's added mass, which other axes share, is off by in a regression.
     assert (apart < 5 * std + 0.15 * size).all()
 
 
-def test_an_axis_that_hardly_answers_is_no_exchange():
-    """A file that is far off in one axis, and an autopilot that hides what it answers."""
+@pytest.mark.parametrize("unit", [1 / 3600, 1 / 300, 1.0, 1000.0])
+def test_what_a_full_command_is_may_have_any_unit(unit):
+    right, crossed = (responses(packaged(HEAVY), (heavy(*hidden),)) for hidden in ((), (CROSSED,)))
+    assert right is not None and crossed is not None
+    assert read_otherwise(right._replace(measured=unit * right.measured)) == ()
+    scaled = crossed._replace(measured=unit * crossed.measured, covariance=unit**2 * crossed.covariance)
+    found = read_otherwise(scaled)
+    assert [one.exchanged for one in found] == [(("t5", "t7"),), (("t6", "t8"),)]
+    assert found[0].odds == pytest.approx(read_otherwise(crossed)[0].odds, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.03])
+@pytest.mark.parametrize("axis", ["sway", "pitch", "yaw"])
+def test_an_axis_of_which_file_and_log_differ_by_far_is_no_exchange(axis, share):
     seen = responses(packaged(HEAVY), (heavy(),))
-    assert seen is not None and read_otherwise(seen) == ()
-    pitch = np.arange(6) == 4
-    weak = seen._replace(measured=np.where(pitch[:, None], seen.measured / 10, seen.measured))
-    assert read_otherwise(weak) == ()
-    none = seen._replace(measured=np.where(pitch[:, None], 0.0, seen.measured))
-    assert read_otherwise(none) != ()
-    assert read_otherwise(none._replace(spread=np.inf)) == ()
+    assert seen is not None
+    this = (np.array(DOFS) == axis)[:, None]
+    found = read_otherwise(seen._replace(measured=np.where(this, share * seen.measured, seen.measured)))
+    assert not any(one.exchanged for one in found)
+
+
+def test_what_a_controller_may_hide_is_no_exchange(monkeypatch):
+    """With t2 and t4 exchanged no command pushes sideways; so it looks of right columns under feedback."""
+    log = heavy(("exchanged_thrusters", "t2+t4", ()))
+    (error,) = misconnected(packaged(HEAVY), (log,))
+    assert {cause.target for cause in (*error.causes, *error.instead)} == {"t1+t3", "t2+t4"}
+    monkeypatch.setattr("jaxmarine.fitting._gross.answers", lambda log: True)
+    assert misconnected(packaged(HEAVY), (log,)) == ()
+
+
+@pytest.mark.parametrize(("axis", "channels"), [("pitch", [4, 10]), ("sway", [1, 7])])
+def test_a_channel_of_mere_noise_is_no_axis_that_does_not_answer(axis, channels):
+    log = heavy()
+    noisy = log.channels.copy()
+    noisy[:, channels] = 0.01 * np.random.default_rng(2).normal(size=(len(noisy), 2))
+    seen = responses(packaged(HEAVY), (dataclasses.replace(log, channels=noisy),))
+    assert seen is not None
+    assert [dof for dof, moves in zip(DOFS, seen.known, strict=True) if not moves] == [axis]
+    assert read_otherwise(seen) == ()
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -66,4 +66,4 @@ def test_the_table_of_the_page_is_that_of_the_results():
         assert f"| {name} | " + " | ".join(f"{x:.3f}" for x in values) + " |" in page
     (low, high), _, _ = results["within"][f"jaxmarine fit, also {', '.join(study.OF_BOATS)}"]
     assert low < study.TRIAL["trial: also gains, dead band, damping with |u| r"][0] < high
-    assert f"the error in u is {low:.3f} to {high:.3f} m/s (95 %)" in " ".join(page.split())
+    assert f"the error in u itself is known to {low:.3f} to {high:.3f} m/s (95 %)" in " ".join(page.split())

@@ -103,6 +103,10 @@ def test_the_page_says_which_cause_was_taken_and_why():
     fit = RESULTS["fits"][PLACED]
     _, ahead, error = fit["velocity_lever_arm.x"]
     assert f"the log {ahead:.2f} ± {error:.2f} m ahead" in LINES
+    _, aside, beside = fit["velocity_lever_arm.y"]
+    # Of a hull 2.194 m long and 0.1753 m wide.
+    outside = f"{(ahead - 2.194 / 2) / error:.1f} and {(abs(aside) - 0.1753 / 2) / beside:.1f}"
+    assert f"whose side 0.09 m off, by {outside} standard errors" in LINES
     assert f"sway is {fit[study.SWAY][1]:.1f} N s/m" in LINES
     halves = RESULTS["left_out"]
     means = {name: [study.overall(one["rms"]) for one in rows] for name, rows in halves.items()}

@@ -60,7 +60,7 @@ from ..fitting import (
 )
 from ..logs import Log
 from ..physics import damping
-from ..vehicle import Plant, Vehicle
+from ..vehicle import Placed, Plant, Vehicle
 from ._criteria import DEFAULT, Criteria
 from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
@@ -759,9 +759,9 @@ class Workbench:
         error = np.asarray(channels)[: self.count] - np.asarray(self.data.windows.measured)
         return np.asarray(wrapped(error)) * self._own_weight
 
-    def as_connected(self) -> "Workbench":
-        """The same with the columns as the vehicle file has them."""
-        return self._like(vehicle=self.filed)
+    def as_connected(self, *otherwise: Placed) -> "Workbench":
+        """The same with the columns as the vehicle file has them, or as causes of ours exchange these."""
+        return self._like(vehicle=self.filed.place(*otherwise))
 
     def beside(self, filed: Vehicle) -> "Workbench":
         """The same with another vehicle as filed, whose placed effects its own has first."""

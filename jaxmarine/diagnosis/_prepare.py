@@ -1,7 +1,7 @@
 """From logs to a workbench: named apart, checked, cut into windows, their noise at least what is missed."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -70,8 +70,8 @@ class Opened:
     """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell.
 
     - `gross`: sentences on gross errors, which come before all else.
-    - `exchanged`: columns that are, which the workbench's vehicle has exchanged already; `instead`: what the
-      logs cannot tell from it, where it is one pair.
+    - `exchanged`: columns that are, which the workbench's vehicle has exchanged already; `instead`: other
+      pairs that answer as it does, where it is one.
     - `nameless`: whether something that no effect is makes all names worthless.
     - `feedback`: whether commands answer what was measured, and with it what disturbs the craft.
     """
@@ -117,7 +117,7 @@ def opened_with(
     # A log is judged by the vehicle that is connected as it was.
     every, reviews = reviewed(vehicle.place(*causes), (*logs, *tests))
     logs, tests = every[: len(logs)], every[len(logs) :]
-    exchanged = tuple(cause for cause in causes if isinstance(cause.effect, ExchangedThrusters))
+    exchanged = _exchanges(causes)
     bench = workbench(vehicle.place(*exchanged), logs, catalogue, window, vehicle, criteria)
     tests, left_out = _predictable(bench, tests)
     progress(FITTING)
@@ -133,10 +133,14 @@ def opened_with(
         gross=gross,
         notes=tuple(notes),
         exchanged=exchanged,
-        instead=tuple(cause for one in wrong for cause in one.instead) if len(exchanged) == 1 else (),
+        instead=_exchanges(cause for one in wrong for cause in one.instead) if len(exchanged) == 1 else (),
         nameless=nameless,
         feedback=bool(answered),
     )
+
+
+def _exchanges(causes: Iterable[Placed]) -> tuple[Placed, ...]:
+    return tuple(cause for cause in causes if isinstance(cause.effect, ExchangedThrusters))
 
 
 def _said(log: Log) -> Note:

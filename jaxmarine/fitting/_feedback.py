@@ -51,7 +51,7 @@ def answers(log: Log) -> bool:
     shown = np.concatenate([np.roll(changed, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
     both = np.concatenate([past, shown], axis=1)
     # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.
-    # Here, as it takes half a second to import, which a fit or a check has no use for.
+    # Here, as it takes half a second to import, which a fit has no use for.
     from scipy.stats import wilcoxon
 
     def chance(before: np.ndarray, after: np.ndarray) -> float:

@@ -23,6 +23,7 @@ from ..effects import (
 )
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
+from ._feedback import answers
 from ._kinematics import Contradiction, contradiction, kinematics, misread
 from ._responses import Reading, opposite, read_otherwise, responses
 from ._reversed import reversed_columns
@@ -37,7 +38,7 @@ class GrossError(NamedTuple):
     """What is grossly wrong, in a sentence, and the causes of the catalogue that it is; none has no name.
 
     - `evidence` [nats]: by which it is likelier than that log and file agree.
-    - `instead`: of a single cause, others that the log cannot tell from it.
+    - `instead`: of a single cause, others by which axes answer as they do by it.
     """
 
     told: str
@@ -112,6 +113,9 @@ def _of_sensors(
 def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
     seen = responses(vehicle, logs)
     readings = () if seen is None else read_otherwise(seen)
+    if seen is not None and readings and any(map(answers, logs)):
+        # Of what an axis answers a controller hides a part, up to all of it.
+        readings = read_otherwise(seen, np.inf)
     if seen is None or not readings:
         return ()
     agreed = _agreed(vehicle, logs)

@@ -18,7 +18,6 @@ from ..logs import Log, smooth_states
 from ..vehicle import Vehicle
 from ._clock import BLOCKS, FEWEST, STRETCH, impulses, integrals, others
 from ._driven import thrusts
-from ._feedback import answers
 
 # Pairs of velocities along axes, and of rates about them.
 _MUNK = ((0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5))
@@ -35,6 +34,11 @@ _LEAST = 0.05
 # Factors by which an axis may answer more or less than filed, and of how much two in three are: thrust over
 # inertia of a guessed file.
 _FACTORS, _USUAL = np.exp(np.linspace(-6.0, 6.0, 121)), np.log(2.0)
+# Of impulses, combinations smaller than this share of the largest are how commands are rounded: a microsecond
+# of a pulse's four hundred.
+_TOLD = 1e-2
+# Explained over unexplained variance, per number (F), that noise alone exceeds once in some million.
+_MOVES = 3.0
 # Nats beyond the number of readings that are tried, and within which two are not told apart: odds of 1 to
 # 150, and of 1 to 20.
 _MARGIN, _CLOSE = 5.0, 3.0
@@ -48,7 +52,6 @@ class Responses(NamedTuple):
     - `known` [axes]: which axes move.
     - `shown` [thrusters, thrusters]: `measured` is what the commands show of the true answers. Of many
       thrusters a pilot never moves some combination, of whose answer nothing is measured.
-    - `spread`: of the logarithm of the factor by which an axis answers more or less than filed.
     """
 
     names: tuple[str, ...]
@@ -57,7 +60,6 @@ class Responses(NamedTuple):
     covariance: Float[np.ndarray, "6 thrusters thrusters"]
     known: np.ndarray
     shown: Float[np.ndarray, "thrusters thrusters"]
-    spread: float
 
 
 class Reading(NamedTuple):
@@ -113,20 +115,25 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
         return None
 
     def regressed(offset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        columns = np.concatenate([pushed[offset], around], axis=1)
+        own = _sizes(pushed[offset])
+        u, size, ways = np.linalg.svd(pushed[offset] / own, full_matrices=False)
+        told = size > _TOLD * size[0]
+        columns = np.concatenate([u[:, told], around], axis=1)
         # Without units, and without what the others tell already.
-        scale = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
+        scale = _sizes(columns)
         q, r = np.linalg.qr(columns / scale)
-        solved = np.linalg.pinv(r, rcond=1e-6)
-        inverse, own = solved @ q.T, scale[:count]
-        slopes = inverse @ gained
-        rest = gained - columns / scale @ slopes
-        shown = (solved @ r)[:count, :count] / own[:, None] * own
-        return inverse[:count] / own[:, None], slopes[:count] / own[:, None], rest, shown
+        inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T / scale[:, None]
+        rest = gained - columns @ inverse @ gained
+        inverse = (ways[told].T / size[told] / own[:, None]) @ inverse[: told.sum()]
+        return inverse, inverse @ gained, rest, ways[told].T @ ways[told] / own[:, None] * own
 
     fits = [regressed(i) for i in range(len(_OFFSETS))]
     best = min(fits, key=lambda fit: np.log(np.maximum(fit[2][:, known].std(axis=0), 1e-12)).sum())
     inverse, slopes, rest, shown = best
+    # A channel that shows nothing but noise is no axis that does not answer.
+    freedom = count + around.shape[1]
+    explained = (gained**2).sum(axis=0) - (rest**2).sum(axis=0)
+    known &= explained / freedom > _MOVES * (rest**2).sum(axis=0) / (len(gained) - freedom)
     # What each block adds to the slopes by its residuals, whose sum is zero.
     block = np.arange(len(gained)) * BLOCKS // len(gained)
     starts = np.searchsorted(block, np.arange(BLOCKS))
@@ -136,18 +143,23 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     # Of some blocks the scatter is a rough number: never less than that of stretches one by one.
     filed = np.asarray(vehicle.plant().allocation)[:, used] * vehicle.free[:, None]
     names = tuple(name for name, one in zip(vehicle.thruster_names, used, strict=True) if one)
-    # Where commands answer what was measured, less is seen of what axes answer, down to nothing.
-    spread = np.inf if any(map(answers, logs)) else _USUAL
-    return Responses(names, slopes.T, filed, lasting + alone, known, shown, spread)
+    return Responses(names, slopes.T, filed, lasting + alone, known, shown)
 
 
-def read_otherwise(seen: Responses) -> tuple[Reading, ...]:
+def _sizes(columns: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, " columns"]:
+    return np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
+
+
+def read_otherwise(seen: Responses, spread: float = _USUAL) -> tuple[Reading, ...]:
     """Ways to read columns and axes that responses prefer to the file's, the likeliest first.
 
     Mostly none. One mistake or two of these: two columns exchanged, one or all of the wrong sign, a whole
     axis of it. Each says what the answers would be but for a factor of each axis, which mass and thrust of
     the file leave open. Those that come as near as odds of 1 to 20 are given too, unless they take a mistake
     more.
+
+    - `spread`: of the logarithms of the axes' factors; of all axes together the file says nothing, as what
+      a full command is may have any unit.
     """
     count, moving = len(seen.names), np.flatnonzero(_answers(seen)).tolist()
     eye = (tuple(range(count)), (1,) * count, (1,) * 6)
@@ -166,30 +178,27 @@ def read_otherwise(seen: Responses) -> tuple[Reading, ...]:
         )
         for a, b in itertools.combinations(single, 2)
     ]
-    price = np.log(len(single))
     ways: dict[Hypothesis, int] = {eye: 0}
     for mistakes, these in ((1, single), (2, double)):
         for way in these:
             ways.setdefault(way, mistakes)
-    left = {way: _unlikely(seen, _read(seen, way)) for way in ways}
+    seen, price = _scaled(seen, moving), np.log(len(single))
+    expected = np.stack([_read(seen, way) for way in ways])
+    left = _unlikely(seen, expected, spread)
     # What not even the likeliest of them explains is how far answers scatter (overdispersion).
-    likeliest = _read(seen, min(left, key=lambda way: left[way]))
-    freedom = max(len(moving) * (count - 1), 1)
-    phi = max(2 * _unlikely(seen._replace(spread=np.inf), likeliest) / freedom, 1.0)
-    found = {
-        way: ((left[eye] - left[way]) / phi - mistakes * price, mistakes)
-        for way, mistakes in ways.items()
-        if not np.allclose(_read(seen, way), seen.filed)
-    }
-    best = max(found.values(), default=(-np.inf, 0))
-    if best[0] < _MARGIN:
+    freedom = max(len(moving) * (np.trace(seen.shown) - 1), 1.0)
+    phi = 2 * float(_unlikely(seen, expected[left.argmin()], np.inf)) / freedom
+    if phi > 1:
+        left = _unlikely(seen, expected, spread, phi)
+    # The file's own comes first.
+    odds = {way: left[0] - one - ways[way] * price for way, one in zip(ways, left.tolist(), strict=True)}
+    best = max(ways, key=lambda way: (odds[way], -ways[way]))
+    if odds[best] < _MARGIN:
         return ()
-    near = [
-        (way, odds)
-        for way, (odds, mistakes) in found.items()
-        if best[0] - odds < _CLOSE and mistakes <= best[1]
-    ]
-    return tuple(_named(seen.names, way, odds) for way, odds in sorted(near, key=lambda one: -one[1]))
+    near = [way for way in ways if odds[best] - odds[way] < _CLOSE and ways[way] <= ways[best]]
+    return tuple(
+        _named(seen.names, way, odds[way]) for way in sorted(near, key=lambda way: -round(odds[way], 2))
+    )
 
 
 # Of each column the thruster that it drives, the sign of its command, and the sign of each axis.
@@ -249,19 +258,34 @@ def _answers(seen: Responses) -> np.ndarray:
     return seen.known & (size > _LEAST * kind)
 
 
-def _unlikely(seen: Responses, expected: Float[np.ndarray, "6 thrusters"]) -> float:
-    """Minus the logarithm of the likelihood of the responses, each axis with a factor above zero."""
-    total = 0.0
+def _scaled(seen: Responses, moving: list[int]) -> Responses:
+    """With the file's answers as large as the measured ones, in the median over the axes."""
+
+    def sizes(answers: Float[np.ndarray, "6 thrusters"]) -> Float[np.ndarray, " axes"]:
+        return np.linalg.norm(answers[moving], axis=1)
+
+    filed = sizes(seen.filed @ seen.shown.T)
+    ratio = float(np.median(sizes(seen.measured)[filed > 0] / filed[filed > 0])) if filed.any() else 0.0
+    return seen._replace(filed=(ratio or 1.0) * seen.filed)
+
+
+def _unlikely(
+    seen: Responses, expected: Float[np.ndarray, "*ways 6 thrusters"], spread: float, phi: float = 1.0
+) -> Float[np.ndarray, "*ways"]:
+    """Minus the logarithm of the likelihood of the responses, each axis with a factor above zero.
+
+    - `spread`: of the factors' logarithms; `phi`: dispersion of the answers.
+    """
+    total = np.zeros(expected.shape[:-2])
     for axis in np.flatnonzero(_answers(seen)):
-        got, rows = seen.measured[axis], seen.shown @ expected[axis]
+        got, rows = seen.measured[axis], expected[..., axis, :] @ seen.shown.T
         filed = np.abs(seen.filed[axis])
         filed *= np.linalg.norm(got) / np.linalg.norm(filed)
         # Of each answer what lies between measured and filed, the same for all readings.
         size = np.maximum((np.abs(got) + filed) / 2, _SMALL * np.sqrt((got**2).mean()))
-        covariance = seen.covariance[axis] + np.diag((_OFF * size) ** 2)
-        weighed = np.linalg.solve(covariance, np.stack([got, rows], axis=1))
-        square = (
-            got @ weighed[:, 0] - 2 * _FACTORS * (rows @ weighed[:, 0]) + _FACTORS**2 * (rows @ weighed[:, 1])
-        )
-        total += 0.5 * float((square + (np.log(_FACTORS) / seen.spread) ** 2).min())
+        precision = np.linalg.inv(seen.covariance[axis] + np.diag((_OFF * size) ** 2))
+        along = np.einsum("...j,jk,...k->...", rows, precision, rows)[..., None]
+        across = (rows @ (precision @ got))[..., None]
+        square = got @ precision @ got - 2 * _FACTORS * across + _FACTORS**2 * along
+        total += 0.5 * (square / phi + (np.log(_FACTORS) / spread) ** 2).min(axis=-1)
     return total
