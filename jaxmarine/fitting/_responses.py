@@ -123,7 +123,7 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
         scale = _sizes(columns)
         q, r = np.linalg.qr(columns / scale)
         inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T / scale[:, None]
-        rest = gained - columns @ inverse @ gained
+        rest = gained - columns @ (inverse @ gained)
         inverse = (ways[told].T / size[told] / own[:, None]) @ inverse[: told.sum()]
         return inverse, inverse @ gained, rest, ways[told].T @ ways[told] / own[:, None] * own
 
