@@ -448,8 +448,8 @@ def _checked_free(free):
             "`added_mass`, `all` every one of these); once will do."
         )
     effects = {effect.name for effect in CATALOGUE}
-    for name in (one for one in free if one != "all"):
-        if name not in names and name.partition(":")[0] not in effects:
+    for name in free:
+        if name not in (*names, "all") and name.partition(":")[0] not in effects:
             raise InputError(
                 f"--free {name}: is not known; choose from {', '.join(names)}, take an effect of the "
                 "catalogue, such as `turning_lift` or `thruster_gain:all`, or all."

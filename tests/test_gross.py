@@ -182,11 +182,11 @@ def test_what_may_be_exchanged_instead_is_weighed_by_the_whole_likelihood(behind
         bench.refine.return_value.cost = cost
         return bench
 
-    other, bench = Placed(ExchangedThrusters(), "t6+t8"), pretended(100.0)
-    bench.as_connected.side_effect = {other: pretended(100.0 + behind)}.get
+    other, filed = Placed(ExchangedThrusters(), "t6+t8"), pretended(1100.0)
+    filed.as_connected.side_effect = {other: pretended(100.0 + behind)}.get
     now = Mock(spec=Judged, model=Mock(spec=Model, cost=100.0), phi=2.0)
     opened = Mock(spec=Opened, exchanged=(Placed(ExchangedThrusters(), "t5+t7"),), instead=(other,))
-    (finding,) = _exchanges(bench, pretended(1100.0), now, opened)
+    (finding,) = _exchanges(filed, now, opened)
     assert (finding.label, finding.log_evidence) == ("exchanged_thrusters:t5+t7", 500.0)
     (found,) = finding.alternatives
     assert (found.label, found.indistinguishable) == ("exchanged_thrusters:t6+t8", close)

@@ -83,7 +83,7 @@ def diagnose(
     measured = measured or learned or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
     connected = bench.as_connected() if opened.exchanged else bench
-    findings = _exchanges(bench, connected, now, opened) + findings_of(bench, now, rounds, std)
+    findings = _exchanges(connected, now, opened) + findings_of(bench, now, rounds, std)
     logs, tests = bench.data.logs, opened.tests
     apart = None if now.white else disagreement(extended, logs, bench.noise)
     missing = missing_wrench(now.knots)
@@ -265,7 +265,7 @@ def _learned(
     return terms, measured, notes
 
 
-def _exchanges(bench: Workbench, connected: Workbench, now: Judged, opened: Opened) -> tuple[Finding, ...]:
+def _exchanges(connected: Workbench, now: Judged, opened: Opened) -> tuple[Finding, ...]:
     """A finding for each pair of columns that are exchanged; their evidence is that of all together.
 
     - `connected`: the workbench with the columns as filed.
@@ -278,8 +278,8 @@ def _exchanges(bench: Workbench, connected: Workbench, now: Judged, opened: Open
     own = 0.5 * saved / now.phi
     alternatives = []
     for one in opened.instead:
-        behind = (bench.as_connected(one).refine(now.model).cost - now.model.cost) / now.phi
-        close = behind < bench.criteria.close
+        behind = (connected.as_connected(one).refine(now.model).cost - now.model.cost) / now.phi
+        close = behind < connected.criteria.close
         alternatives.append(Alternative(one.effect.name, one.target, own - behind, close))
     return tuple(
         Finding(

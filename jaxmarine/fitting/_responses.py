@@ -114,20 +114,7 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     if not known.any():
         return None
 
-    def regressed(offset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        own = _sizes(pushed[offset])
-        u, size, ways = np.linalg.svd(pushed[offset] / own, full_matrices=False)
-        told = size > _TOLD * size[0]
-        columns = np.concatenate([u[:, told], around], axis=1)
-        # Without units, and without what the others tell already.
-        scale = _sizes(columns)
-        q, r = np.linalg.qr(columns / scale)
-        inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T / scale[:, None]
-        rest = gained - columns @ (inverse @ gained)
-        inverse = (ways[told].T / size[told] / own[:, None]) @ inverse[: told.sum()]
-        return inverse, inverse @ gained, rest, ways[told].T @ ways[told] / own[:, None] * own
-
-    fits = [regressed(i) for i in range(len(_OFFSETS))]
+    fits = [_regressed(one, around, gained) for one in pushed]
     best = min(fits, key=lambda fit: np.log(np.maximum(fit[2][:, known].std(axis=0), 1e-12)).sum())
     inverse, slopes, rest, shown = best
     # A channel that shows nothing but noise is no axis that does not answer.
@@ -144,6 +131,25 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
     filed = np.asarray(vehicle.plant().allocation)[:, used] * vehicle.free[:, None]
     names = tuple(name for name, one in zip(vehicle.thruster_names, used, strict=True) if one)
     return Responses(names, slopes.T, filed, lasting + alone, known, shown)
+
+
+def _regressed(
+    pushed: Float[np.ndarray, "rows thrusters"],
+    around: Float[np.ndarray, "rows others"],
+    gained: Float[np.ndarray, "rows 6"],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Momentum on impulses beside others: what maps it to slopes, these, the rest, and what is shown."""
+    own = _sizes(pushed)
+    u, size, ways = np.linalg.svd(pushed / own, full_matrices=False)
+    told = size > _TOLD * size[0]
+    columns = np.concatenate([u[:, told], around], axis=1)
+    # Without units, and without what the others tell already.
+    scale = _sizes(columns)
+    q, r = np.linalg.qr(columns / scale)
+    inverse = np.linalg.pinv(r, rcond=1e-6) @ q.T / scale[:, None]
+    rest = gained - columns @ (inverse @ gained)
+    inverse = (ways[told].T / size[told] / own[:, None]) @ inverse[: told.sum()]
+    return inverse, inverse @ gained, rest, ways[told].T @ ways[told] / own[:, None] * own
 
 
 def _sizes(columns: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, " columns"]:
