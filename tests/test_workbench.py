@@ -132,7 +132,7 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
 def test_names_that_leave_the_error_as_it_is_buy_nothing(ratio, interval, nothing):
     for held_out in (True, False):
         gain = Gain(5.0, None, None, ratio, interval, held_out, 60)
-        assert buys_nothing(gain, Criteria().gain) == (nothing and held_out)
+        assert buys_nothing(gain, Criteria().worth) == (nothing and held_out)
 
 
 @pytest.mark.parametrize(

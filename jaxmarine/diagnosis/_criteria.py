@@ -18,7 +18,7 @@ class Criteria:
       the added mass and the damping of one axis.
     - `scatter`: how much more than noise of the stated size scores may scatter before more than noise is
       looked for: a variance over 20 windows is known to 30 %, and this is two of that.
-    - `gain`: share of the error of predictions that something must not leave to be of use.
+    - `worth`: share of the error of predictions that something must save to be of use.
     - `sigmas`, `sigmas_of_most`: standard errors over windows by which an unknown dependence must help on
       windows that were left out: some two thousand sets of signals are tried, of which chance alone gives
       three to a few; but hardly to one that explains most of what is left.
@@ -36,7 +36,7 @@ class Criteria:
     file_error: float = 0.1
     few: int = 2
     scatter: float = 1.6
-    gain: float = 0.95
+    worth: float = 0.05
     sigmas: float = 4.0
     sigmas_of_most: float = 3.0
     most: float = 0.7

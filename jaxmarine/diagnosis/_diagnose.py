@@ -221,7 +221,7 @@ def _worthwhile(
         return answer, None, []
     measured, names = measured_gain(bench, answer.model, True, (), tests), together([t.name for t in tests])
     more = _likelier_by(bench, rival, answer.model, tests)
-    idle = buys_nothing(measured[0], bench.criteria.gain)
+    idle = buys_nothing(measured[0], bench.criteria.worth)
     if idle or (more is not None and more < 0):
         how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
         told = [f"{what} {how} {names}; it was dropped."]

@@ -112,6 +112,6 @@ def _without_harm(bench: Workbench, model: Model, dense: bool) -> Model:
     own = gain_at_home(bench, model, dense)
     for i in reversed(range(len(model.members))):
         less = bench.refine(bench.without_member(model, i))
-        if gain_at_home(bench, less, dense) < bench.criteria.gain * own:
+        if gain_at_home(bench, less, dense) < (1 - bench.criteria.worth) * own:
             return _without_harm(bench, pruned(bench, less), dense)
     return model

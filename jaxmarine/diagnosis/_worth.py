@@ -68,13 +68,13 @@ def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Pl
     return measured_gain(bench, model, changed, terms, log)[0].ratio
 
 
-def buys_nothing(gain: Gain, most: float) -> bool:
-    """Whether what was named leaves more than a share of the error, `most`, on a log that was not fitted.
+def buys_nothing(gain: Gain, least: float) -> bool:
+    """Whether what was named saves less than a share of the error, `least`, on a log that was not fitted.
 
     What makes it larger for sure is another matter: the cause may be absent there.
     """
     low, high = gain.ratio_ci95 or (0.0, np.inf)
-    return gain.held_out and gain.ratio > most and low <= 1.0 <= high
+    return gain.held_out and gain.ratio > 1 - least and low <= 1.0 <= high
 
 
 def measured_gain(
