@@ -313,12 +313,14 @@ def kept(folders: Sequence[Path], out: Path) -> int:
 
 
 def waiting(cases: Path, out: Path) -> list[list[Path]]:
-    """Logs without a row, those of a vehicle together."""
-    by_ship: dict[str, list[Path]] = {}
+    """Logs without a row, block by block, those of a vehicle together."""
+    parts: dict[tuple[str, str], list[Path]] = {}
     for path in sorted(cases.glob("*/answer.json")):
-        if not (out / f"{path.parent.name}.json").exists():
-            by_ship.setdefault(json.loads(path.read_text())["options"]["vehicle"], []).append(path.parent)
-    return list(by_ship.values())
+        folder = path.parent
+        if not (out / f"{folder.name}.json").exists():
+            ship = json.loads(path.read_text())["options"]["vehicle"]
+            parts.setdefault((folder.name.split("_")[1], ship), []).append(folder)
+    return [parts[key] for key in sorted(parts)]
 
 
 # --- what comes of it -----------------------------------------------------------------------------
