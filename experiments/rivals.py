@@ -37,9 +37,11 @@ from experiments.blind.catalogue import DAMP
 from experiments.blind_matrix import BLOCK, Row, detectable, share
 from jaxmarine._compiled import compiled
 from jaxmarine._types import CHANNELS, DOFS, RATE, VELOCITY
+from jaxmarine.diagnosis._explanation import Member, Model
 from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
-from jaxmarine.diagnosis._model import SEGMENTS, Member, Model, Workbench
+from jaxmarine.diagnosis._model import SEGMENTS, Workbench
+from jaxmarine.diagnosis._noises import noise_left
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._score import solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
@@ -347,7 +349,7 @@ def worst_channel(case: Case, rounds: int) -> Row:
     """The axis of the channel that the file as it is fits worst, positions north and east left aside."""
     del rounds
     bench = case.bench()
-    missed = bench.noise_left(bench.refine(bench.frozen(bench.start()))) / bench.own_noise
+    missed = noise_left(bench, bench.refine(bench.frozen(bench.start()))) / bench.own_noise
     missed[[CHANNELS.index("x"), CHANNELS.index("y")]] = np.nan
     worst = int(np.nanargmax(missed))
     return said([("axis", DOFS[worst % 6])] if missed[worst] > BAD else [])

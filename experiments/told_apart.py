@@ -41,7 +41,8 @@ from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
 from experiments.rivals import starts
 from jaxmarine.diagnosis import Box, plan
-from jaxmarine.diagnosis._model import Member, Model, Workbench
+from jaxmarine.diagnosis._explanation import Member, Model
+from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._plan import HOLD, RANDOM, STAY, WALL, _Causes, _causes, _Flown, _improved, _leaving
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._search import ROUGH, STEPS

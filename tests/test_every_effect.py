@@ -14,7 +14,8 @@ import jaxmarine as jm
 from experiments.blind import cases, vehicle
 from experiments.blind.excitation import commands
 from experiments.blind.plant import Effect
-from jaxmarine.diagnosis._model import Member
+from jaxmarine.diagnosis._amid import refine_fully
+from jaxmarine.diagnosis._explanation import Member
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._search import _by_penalty, _trials, probes, shortlist
 from jaxmarine.effects import (
@@ -137,7 +138,7 @@ def named_first(ship: str, effect: Effect, log: jm.Log) -> None:
     suspects = bench.layout.suspects
     label = effect.effect if effect.target is None else f"{effect.effect}:{effect.target}"
     true = Member([one.label for one in suspects].index(label))
-    model = bench.fitted(bench.start())
+    model = refine_fully(bench, bench.start())
     ranked, _ = shortlist(bench, model, bench.screen(model))
     begun = [(one, None) for one in ranked if one.since is None][:REFITTED]
     if suspects[true.suspect].starts or suspects[true.suspect].effect.swings:

@@ -11,8 +11,11 @@ from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
-from jaxmarine.diagnosis._innovations import remembered
-from jaxmarine.diagnosis._model import SLOTS, Model, Workbench
+from jaxmarine.diagnosis import _amid
+from jaxmarine.diagnosis._amid import amid_more
+from jaxmarine.diagnosis._explanation import Model
+from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
+from jaxmarine.diagnosis._model import SLOTS, Workbench
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SteadyCurrent
@@ -208,7 +211,7 @@ def pushed_boat(size: np.ndarray) -> Log:
 def estimated_on(log: Log) -> tuple[Workbench, Model]:
     """The boat's workbench, and its model at the sizes and memories that suit the log."""
     bench = workbench(boat(), (log,), (LinearDamping, QuadraticDamping), None)
-    return bench, bench.likeliest(bench.disturbed(bench.frozen(bench.start())))
+    return bench, bench.likeliest(_amid.disturbed(bench, bench.frozen(bench.start())))
 
 
 @pytest.fixture(scope="module")
@@ -308,7 +311,7 @@ def test_a_log_with_a_gap_is_two_logs(disturbed):
 
     def screened(logs: tuple[Log, ...]):
         on = bench.on(logs)
-        model = on.refine(on.disturbed(on.frozen(on.start())))
+        model = on.refine(_amid.disturbed(on, on.frozen(on.start())))
         # What a window without a next one does over a gap is of no use, and may grow beyond all bounds.
         assert np.asarray(on._path(model, model.beside)[1].line.dt).max() == pytest.approx(0.1)
         return on.screen(model)
@@ -327,20 +330,20 @@ def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     bench, model = disturbed
     again, own = bench.on(bench.data.logs), bench.screen(model).chi2.sum() / bench.samples
     # Starts are followed from the samples anew: paths differ by less than a thousandth of a number's noise.
-    assert again.log_score(model) == pytest.approx(-0.5 * (own + np.log(2 * np.pi)), abs=1e-3)
+    assert log_score(again, model) == pytest.approx(-0.5 * (own + np.log(2 * np.pi)), abs=1e-3)
     beside = model.beside
     force = dataclasses.replace(beside.force, size=3 * beside.force.size)
     larger = dataclasses.replace(model, beside=dataclasses.replace(beside, force=force))
-    assert again.log_score(larger) == pytest.approx(again.log_score(model), abs=1e-3)
+    assert log_score(again, larger) == pytest.approx(log_score(again, model), abs=1e-3)
     place = next(i for i, c in enumerate(bench.base) if c.kind == "damping.linear" and c.place == (0, 0))
     braked = dataclasses.replace(model, z=model.z + 20.0 * (np.arange(len(model.z)) == place))
-    assert again.log_score(braked) < again.log_score(model) - 0.01
+    assert log_score(again, braked) < log_score(again, model) - 0.01
 
 
 def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
     """Its mean square within four standard errors, and nothing before tells of it; without memory it does."""
     bench, model = disturbed
-    white = bench.whitened(model)
+    white = whiten(bench, model)
     seen = white[np.isfinite(white)]
     assert len(seen) == bench.samples
     assert np.mean(seen**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / len(seen)))
@@ -378,7 +381,7 @@ def test_a_current_is_told_from_wrenches():
     """Its size and memory within three standard errors, and where the water went; wrenches hardly stay."""
     water = wandering()
     bench, pushed = estimated_on(in_water(water))
-    model = bench._amid(pushed, with_current)
+    model = _amid.widened(bench, pushed, with_current)
     force = model.beside.force
     # Hundreds of nats: what it does turns with the boat.
     assert force.flows and model.cost < pushed.cost - 100
@@ -399,10 +402,10 @@ def test_a_current_is_taken_alone_and_a_steady_one_is_left_to_its_name():
     catalogue = (LinearDamping, QuadraticDamping, SteadyCurrent)
     for water, kind in ((wandering(), (False, True)), (np.tile([0.2, -0.1, 0.0], (2400, 1)), (False, False))):
         bench = workbench(boat(), (in_water(water),), catalogue, None)
-        model = bench.likeliest(bench.disturbed(bench.frozen(bench.start())))
-        assert bench.amid_more(model).beside.force.kind == kind
+        model = bench.likeliest(_amid.disturbed(bench, bench.frozen(bench.start())))
+        assert amid_more(bench, model).beside.force.kind == kind
         # Where a search has not named it, it disturbs all the same.
-        assert bench.amid_more(model, steady=False).beside.force.kind == (False, True)
+        assert amid_more(bench, model, steady=False).beside.force.kind == (False, True)
 
 
 @pytest.mark.slow

@@ -15,8 +15,9 @@ from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import gain_of
 from jaxmarine.diagnosis._criteria import DEFAULT
 from jaxmarine.diagnosis._diagnose import _exchanges
+from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._judge import Judged
-from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._prepare import Opened
 from jaxmarine.effects import ExchangedThrusters
 from jaxmarine.fitting import gross_errors, misconnected

@@ -17,6 +17,7 @@ from experiments.blind import cases, catalogue, grading, outside
 from experiments.blind.plant import Effect, Outside
 from experiments.blind.vehicle import load
 from jaxmarine._progress import silent
+from jaxmarine.diagnosis._amid import refine_fully
 from jaxmarine.diagnosis._learn import learn
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._search import search
@@ -186,7 +187,7 @@ def test_a_disturbance_bends_a_right_file_no_more_than_chance_would():
         craft = jm.load_vehicle(folder / "vehicle.toml")
         bench = workbench(craft, (jm.read_log(folder / "train.csv", craft),), CATALOGUE, None)
     widths = np.array([c.prior for c in bench.base])
-    light = bench.fitted(bench.start())
+    light = refine_fully(bench, bench.start())
     found = search(bench, light, silent, lambda model, stats: False).model
     assert np.abs(light.z / widths).max() > 5.0
     assert found.members == () and np.abs(found.z / widths).max() < 3.0

@@ -9,7 +9,7 @@ import pytest
 
 from jaxmarine import InputError
 from jaxmarine.diagnosis import Box, Manoeuvre, plan
-from jaxmarine.diagnosis._model import Member
+from jaxmarine.diagnosis._explanation import Member
 from jaxmarine.diagnosis._plan import DT, _causes, _ranges
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.effects import CATALOGUE, GyroBias

@@ -9,9 +9,9 @@ import pytest
 from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis._couplings import couplings
+from jaxmarine.diagnosis._explanation import Beginning, Member
 from jaxmarine.diagnosis._gain import Candidate, _stretches, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
-from jaxmarine.diagnosis._model import Beginning, Member
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._result import Predictions
 from jaxmarine.diagnosis._score import Reduced, root, savings, step_with

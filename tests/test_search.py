@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jaxmarine.diagnosis import Criteria, _search
-from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
+from jaxmarine.diagnosis._explanation import Beginning, Member, Model
+from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._score import Reduced, scatter, t_value
 
 WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6

@@ -12,10 +12,11 @@ from scipy.stats import multivariate_normal
 
 from jaxmarine.diagnosis import Criteria, Diagnosis, _coefficients, _diagnose, _settle, _unnamed
 from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
+from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots
-from jaxmarine.diagnosis._model import BEGUN, Beginning, Member, Model, Sample, Workbench
+from jaxmarine.diagnosis._model import BEGUN, Sample, Workbench
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import Found, Round, Trial, _decided, beside_file, nats, significant

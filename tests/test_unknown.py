@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from experiments.blind.outside import play
+from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
-from jaxmarine.diagnosis._model import Model, Workbench
+from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._score import Reduced, blocks
 from jaxmarine.diagnosis._search import nats
 from jaxmarine.diagnosis._signals import Places, _played

@@ -15,11 +15,14 @@ from jaxmarine._errors import InputError
 from jaxmarine._progress import silent
 from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import Criteria, Gain, _answer, _model, diagnose
+from jaxmarine.diagnosis._amid import refine_fully
 from jaxmarine.diagnosis._diagnose import _missed
+from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots, wave_start
-from jaxmarine.diagnosis._model import Beginning, Member, Model, Workbench
+from jaxmarine.diagnosis._model import Workbench
+from jaxmarine.diagnosis._noises import left
 from jaxmarine.diagnosis._prepare import fitted, named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
@@ -76,7 +79,7 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     bench = workbench(craft, (record(weak, steps(900)),), FEW, None)
     begun = bench.start()
     raised = rescaled(bench, begun)
-    assert raised.raised and sharpened(raised, raised.fitted(begun)) is None  # nothing found, no news
+    assert raised.raised and sharpened(raised, refine_fully(raised, begun)) is None  # nothing found, no news
     suspect = [one.label for one in bench.layout.suspects].index("thruster_gain:port")
     found = raised.refine(raised.with_member(begun, Member(suspect), np.array([-0.1])))
     assert found.z[-1] == pytest.approx(-0.5, abs=0.05)
@@ -85,10 +88,10 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     # What is left of the channels that move is noise, and with half a thruster too much far more.
     free = np.tile(craft.free, 2) > 0
     found = sharper.refine(found)
-    assert np.allclose(sharper.left(found)[:12][free], 1.0, atol=0.2)
-    assert (raised.left(raised.fitted(begun))[:12][free] > 3.0).any()
+    assert np.allclose(left(sharper, found)[:12][free], 1.0, atol=0.2)
+    assert (left(raised, refine_fully(raised, begun))[:12][free] > 3.0).any()
     assert _missed(sharper, found) is None
-    told = _missed(raised, raised.fitted(begun))
+    told = _missed(raised, refine_fully(raised, begun))
     assert told is not None and "the model misses" in told and "rather than of the sensors" in told
     true = np.repeat([NOISE[name] for name in ("position", "attitude", "velocity", "rate")], 3)
     # Of 90 s, and of residuals that the fitted starts make some per cent smaller.
@@ -102,7 +105,7 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
     weak = craft.place(Placed(ThrusterGain(jnp.array([0.5, 1.0, 1.0]))))
     few = (AddedMass, LinearDamping, QuadraticDamping, ThrusterGain, ReverseThrust)
     bench = workbench(craft, (record(weak, np.abs(steps(600))),), few, None)
-    model = bench.fitted(bench.start())
+    model = refine_fully(bench, bench.start())
     stats = bench.screen(model)
     labels = [one.label for one in bench.layout.suspects]
     blind = [i for i, label in enumerate(labels) if label.startswith("reverse_thrust")]
@@ -400,7 +403,7 @@ def test_a_vehicle_that_runs_away_is_told_so():
     assert not np.isfinite(simulate(wrong, log, initial_state(wrong)).channels).all()
     bench = workbench(wrong, (log,), (ThrusterGain,), None)  # one cause: quick to compile
     with pytest.raises(InputError, match="runs away on it; check the signs"):
-        bench.fitted(bench.start())
+        refine_fully(bench, bench.start())
 
 
 def test_commands_beyond_ten_are_those_of_the_file():

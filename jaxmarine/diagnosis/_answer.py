@@ -9,9 +9,10 @@ from jaxtyping import Float
 from ..effects import place
 from ..vehicle import Placed, Vehicle
 from ._couplings import couplings
+from ._explanation import Member, Model
 from ._filed import refiled
 from ._judge import Judged
-from ._model import Member, Model, Workbench
+from ._model import Workbench
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import lasting, root, solve
 from ._search import ROUGH, STEPS, Round, evidence, putting_back

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ._model import Member, Model, Workbench
+from ._explanation import Member, Model
+from ._model import Workbench
 from ._score import solve
 from ._search import (
     CHANCES,

@@ -13,17 +13,20 @@ from ..fitting import disagreement, tell_missed
 from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
+from ._amid import disturbed, refine_fully
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
 from ._criteria import DEFAULT, Criteria
 from ._disturbed import in_words, known, without_current
 from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
+from ._explanation import Model
 from ._gain import HORIZON
-from ._innovations import remembered
+from ._innovations import log_score, remembered
 from ._innovations import told as doubt
 from ._judge import Judged, judged
 from ._knots import missing_wrench
 from ._learn import learn
-from ._model import Model, Workbench
+from ._model import Workbench
+from ._noises import left
 from ._plausible import excesses, told
 from ._prepare import Opened, fitted, opened_with, sharpened
 from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
@@ -139,7 +142,7 @@ def _missed(bench: Workbench, model: Model) -> str | None:
     if not bench.raised:
         return None
     names = [log.name for log in bench.data.logs]
-    return tell_missed(bench.vehicle, names, bench.left(model), bench.own_noise, bench.data.length)
+    return tell_missed(bench.vehicle, names, left(bench, model), bench.own_noise, bench.data.length)
 
 
 def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[Dropped, ...]:
@@ -162,7 +165,7 @@ def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, F
         return bench, rival, found, ()
     progress(AGAIN)
     first = found.model
-    begun = sharper.fitted(first)
+    begun = refine_fully(sharper, first)
     rival = Unnamed(sharper, begun.beside)
     found = search(sharper, begun, progress, rival.beats)
     return sharper, rival, found, gone(sharper, first, found.model, SHARPER)
@@ -170,7 +173,7 @@ def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, F
 
 def _begun(opened: Opened) -> Model:
     """The model to start from, beside a disturbance where commands answer one."""
-    return opened.bench.disturbed(opened.begun) if opened.feedback else opened.begun
+    return disturbed(opened.bench, opened.begun) if opened.feedback else opened.begun
 
 
 def _chosen(
@@ -339,7 +342,7 @@ def _likelier_by(bench: Workbench, rival: Unnamed, model: Model, tests: Sequence
     if model.beside is None:
         return None
     on = bench.on(tests)
-    more = on.log_score(model) - on.log_score(rival.judged.model)
+    more = log_score(on, model) - log_score(on, rival.judged.model)
     return more if np.isfinite(more) else None
 
 

@@ -13,7 +13,8 @@ from .._types import DOFS
 from ..disturbances import RandomWrench
 from ..fitting import FLOW, Disturbance
 from ..vehicle import Input, Plant, State, Vehicle
-from ._model import Model, Workbench
+from ._explanation import Model
+from ._model import Workbench
 from ._result import MissingWrench
 
 

@@ -1,6 +1,7 @@
 """What was found on the way and does not stand in the answer, with a sentence that says why."""
 
-from ._model import Model, Workbench
+from ._explanation import Model
+from ._model import Workbench
 from ._result import Dropped
 
 SHARPER = "With sensors as exact as what was found leaves them it was not found again."

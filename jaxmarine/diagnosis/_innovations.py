@@ -3,13 +3,20 @@
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
 from .._types import ALL_CHANNELS
-from ._model import Model, Workbench
+from ..fitting import Affine, estimated, innovations, path_lines, start_spread, whitened
+from ._explanation import Model
+from ._model import SLOTS, Workbench
 
+# Times that windows are followed, each time from where the one before lets one expect them to begin.
+PASSES = 3
+# Times that the disturbance of logs is looked at which a model is scored on: as it was, and estimated twice.
+WEATHERS = 3
 # What came before, in octaves of samples.
 PAST = tuple(slice(first, 2 * first) for first in (1, 2, 4, 8, 16))
 
@@ -52,9 +59,55 @@ def remembered(bench: Workbench, model: Model) -> Remembered | None:
     return Remembered(channel, on, (ago.start * dt, (ago.stop - 1) * dt), nats)
 
 
+def log_score(bench: Workbench, model: Model) -> float:
+    """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
+
+    Given the sizes and memories of the disturbance that suit these logs best: their weather is not that
+    of the others, and a model is not to blame for it.
+
+    - `model`: of another workbench, beside a disturbance; what begins has begun.
+    """
+    assert model.beside is not None
+    fine, begun = bench.fine, tuple(dataclasses.replace(member, since=None) for member in model.members)
+    force = dataclasses.replace(model.beside.force, gap=fine.begin.gap, joined=fine.begin.joined)
+    theta = jnp.asarray(bench.theta(dataclasses.replace(model, members=begun)))
+    # As wide as that of a refinement, whose program this is then.
+    nothing = Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS)))
+    problem, path = bench.problem(begun, fine.problem), fine.path
+    group, covariance = jnp.zeros(len(fine.group), int), model.beside.covariance
+    scores = []
+    for time in range(WEATHERS):
+        if time:
+            every, spread = (
+                path_lines(problem, nothing, force, path),
+                start_spread(problem.start_precision),
+            )
+            force, covariance, _ = estimated(spread, every, force, fine.unit, covariance)
+        found = innovations(problem, nothing, force, path, group, 1)
+        for _ in range(PASSES - 1):
+            found = innovations(problem, nothing, force, found.path, group, 1)
+        path = found.path
+        minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
+        scores.append(-0.5 * (minus_twice / bench.samples + float(np.log(2 * np.pi))))
+    return max(filter(np.isfinite, scores), default=-np.inf)
+
+
+def whiten(bench: Workbench, model: Model) -> Float[np.ndarray, "windows steps rows"]:
+    """What each sample says that none before it did, in standard deviations; NaN where none was taken.
+
+    Rows are the channels that are measured; only beside a disturbance.
+    """
+    assert model.beside is not None
+    (problem, affine), beside = bench.along(model), model.beside
+    white = np.asarray(whitened(problem, affine, beside.force, beside.path))
+    white = white[: bench.fine.count]
+    taken = np.asarray(problem.windows.weight)[: bench.fine.count][..., np.array(problem.channels)] > 0
+    return np.where(taken, white, np.nan)
+
+
 def _innovations(bench: Workbench, model: Model) -> dict[str, list[Float[np.ndarray, " samples"]]]:
     """The innovations of each measured channel over the samples of each log, NaN where there are none."""
-    white, problem = bench.whitened(model), bench.fine.problem
+    white, problem = whiten(bench, model), bench.fine.problem
     log, step = (np.asarray(a)[: len(white)] for a in (problem.windows.log, problem.windows.step))
     out = dict[str, list[np.ndarray]]()
     for row, channel in enumerate(problem.channels):

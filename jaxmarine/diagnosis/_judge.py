@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from ._explanation import Model
 from ._knots import Knots, knots
-from ._model import Model, Workbench
+from ._model import Workbench
 from ._score import Reduced
 from ._search import dispersion
 

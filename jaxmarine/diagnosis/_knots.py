@@ -10,7 +10,8 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from ._model import Model, Workbench
+from ._explanation import Model
+from ._model import Workbench
 from ._result import MissingWrench
 from ._score import Reduced, solve
 from ._signals import Places

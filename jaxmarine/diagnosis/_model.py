@@ -17,34 +17,28 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import AXES, DOFS, POSES
-from ..effects import AbstractEffect, CoupledDamping, InflowLoss, Motion, WaterEffect
+from ..effects import AbstractEffect, CoupledDamping, InflowLoss, Motion
 from ..fitting import (
     LEAST_DAMPING,
-    USUAL_MEMORY,
     Affine,
     Check,
     Cut,
     Disturbance,
     Likelihood,
-    Path,
     Problem,
     Room,
     Segments,
     Task,
     Windowed,
     coefficient_name,
-    count_of,
     cut,
     estimated,
     evaluated,
     free_wrench,
     innovations,
-    largest,
     maximise,
     measured_channels,
-    overdispersion,
     path_lines,
-    predict,
     promise,
     refine_windows,
     scaled,
@@ -53,15 +47,12 @@ from ..fitting import (
     start_precision,
     start_spread,
     unusual,
-    whitened,
-    with_current,
-    with_swell,
-    wrapped,
 )
 from ..logs import Log
 from ..physics import damping
 from ..vehicle import Placed, Plant, Vehicle
 from ._criteria import DEFAULT, Criteria
+from ._explanation import Beginning, Beside, Member, Model, Stretches
 from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
 from ._saturated import Layout, SaturatedPlant
@@ -89,17 +80,11 @@ EXACT = 1e-6
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
-# Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
-UNLEARNED = 0.25
 # Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
 STAIRS = 20
 # Of a step: how far beyond its edge the next one is entered, and what rounding makes of an edge.
 BEYOND = 0.01
 ROUNDED = 1e-9
-# Times that windows are followed, each time from where the one before lets one expect them to begin.
-PASSES = 3
-# Times that the disturbance of logs is looked at which a model is scored on: as it was, and estimated twice.
-WEATHERS = 3
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -110,73 +95,6 @@ KNOT = 0.5
 _OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria")
 
 Result = TypeVar("Result")
-
-
-@dataclasses.dataclass(frozen=True)
-class Beginning:
-    """When an effect begins: the log's index and the time in it [s]."""
-
-    log: int
-    time: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Stretches:
-    """Between which beginnings a sample lies: per log and sample a segment, and what each segment means.
-
-    - `passed` [segments]: how many beginnings of members are passed in it.
-    - `gates` [segments, placed]: which effects of the vehicle itself act in it.
-    """
-
-    of_samples: tuple[np.ndarray, ...]
-    passed: Int[np.ndarray, " segments"]
-    gates: Float[np.ndarray, "segments placed"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Member:
-    """A suspect that is in the model, acting always or from a beginning on."""
-
-    suspect: int
-    since: Beginning | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Beside:
-    """A disturbance, and the path along which the windows are followed beside it.
-
-    - `covariance`: of the logarithms of its sizes and memories (`fitting.estimated`).
-    """
-
-    force: Disturbance
-    path: Path
-    covariance: Float[np.ndarray, "logarithms logarithms"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Model:
-    """Members, and where the last refinement left all numbers.
-
-    - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
-    - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
-    - `promised`: the cost that one more step of it would reach by its last linearisation, with `damping`.
-    - `weight`: of the prior on the file's coefficients, by how much the windows' scores scatter more than
-      noise of the stated size would make them: that much more is left to bend to, and means nothing.
-    - `frozen`: whether the file's coefficients are held at their values; `held`: those that are in any case.
-    - `beside`: the disturbance beside which it is refined, None for white noise alone. With it `cost` is half
-      of minus twice the logarithm of the likelihood with the disturbance's prior, but for a constant.
-    """
-
-    members: tuple[Member, ...]
-    z: Float[np.ndarray, " z"]
-    delta: Array
-    cost: float
-    promised: float = np.inf
-    damping: float = LEAST_DAMPING
-    weight: float = 1.0
-    frozen: bool = False
-    held: tuple[int, ...] = ()
-    beside: Beside | None = None
 
 
 class Sample(NamedTuple):
@@ -487,14 +405,14 @@ class Workbench:
         problem = self.problem(model.members, self.fine.problem)
         return Likelihood(problem, self.affine(model.members), self._held_by(model), force)
 
-    def _along(self, model: Model) -> tuple[Problem, Affine]:
+    def along(self, model: Model) -> tuple[Problem, Affine]:
         """The windows cut up for the filter, and the map of changes of z."""
         problem = self.problem(model.members, self.fine.problem)
         return problem, self.affine(model.members).at(jnp.asarray(self._padded(model.z)))
 
-    def _path(self, model: Model, beside: Beside) -> tuple[Problem, Windowed]:
+    def lines(self, model: Model, beside: Beside) -> tuple[Problem, Windowed]:
         """The windows cut up for the filter, as they are and as linear systems along a path."""
-        problem, affine = self._along(model)
+        problem, affine = self.along(model)
         return problem, path_lines(problem, affine, beside.force, beside.path)
 
     def promised(self, models: Sequence[Model]) -> list[float]:
@@ -512,22 +430,6 @@ class Workbench:
 
         return self._side_by_side(of, models, "promise")
 
-    def disturbed(self, model: Model) -> Model:
-        """The model beside a disturbance of the usual size, along the path as measured."""
-        fine = self.fine
-        learned = UNLEARNED * np.eye(count_of(fine.begin))
-        return dataclasses.replace(model, beside=Beside(fine.begin, fine.path, learned), cost=np.inf)
-
-    def hurried(self, model: Model) -> Model:
-        """The model beside a disturbance that forgets no slower than is usual, and changes as it did."""
-        assert model.beside is not None
-        force = model.beside.force
-        slow = (force.frequency == 0) & (force.time > USUAL_MEMORY.median)
-        slow = slow.at[len(force.axes) :].set(False)
-        time = jnp.where(slow, USUAL_MEMORY.median, force.time)
-        quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
-        return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))
-
     def likeliest(
         self, model: Model, max_steps: int = 25, rtol: float = EXACT, times: int = ESTIMATES
     ) -> Model:
@@ -540,7 +442,7 @@ class Workbench:
             if model.beside is None or not np.isfinite(model.cost):
                 break
             beside = model.beside
-            problem, every = self._path(model, beside)
+            problem, every = self.lines(model, beside)
             spread = start_spread(problem.start_precision)
             force, learned, _ = estimated(spread, every, beside.force, self.fine.unit, beside.covariance)
             now = Beside(force, beside.path, learned)
@@ -634,58 +536,6 @@ class Workbench:
         self._known |= kinds
         return out
 
-    def amid_more(self, model: Model, steady: bool = True) -> Model:
-        """The model beside a swell and a current too, where the logs are likelier so by the odds of a name.
-
-        Each of their numbers is paid for as a name's are (Schwarz). As it is without a disturbance.
-
-        - `steady`: leaves a current that suits the logs better where it is steady to its name; False asks
-          once more for that current alone.
-        """
-        if model.beside is None:
-            return model
-        force, left = model.beside.force, []
-        if steady and not force.swells:
-            left.append(with_swell)
-        if not force.flows and {0, 1} & set(force.axes):
-            left.append(with_current)
-        while left:
-            amid = [self._amid(model, one) for one in left]
-            priced = [one.cost + self.price(one) for one in amid]
-            best = int(np.argmin(np.nan_to_num(priced, nan=np.inf)))
-            if not priced[best] < model.cost + self.price(model) - self.criteria.nats:
-                break
-            if left.pop(best) is with_current:
-                # One that wanders can stand for one that is steady, which is a cause with a name.
-                named = [self.likeliest(one).cost for one in self._in_currents(model)] if steady else []
-                if min(named, default=np.inf) < amid[best].cost:
-                    continue
-            model = amid[best]
-        return model
-
-    def price(self, model: Model) -> float:
-        """Nats that the numbers of a model's disturbance must pay for (Schwarz)."""
-        if model.beside is None:
-            return 0.0
-        return 0.5 * count_of(model.beside.force) * float(np.log(self.samples))
-
-    def _amid(self, model: Model, with_one: Callable[..., Disturbance | None]) -> Model:
-        """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
-        beside = model.beside
-        assert beside is not None
-        problem, every = self._path(model, beside)
-        spread = start_spread(problem.start_precision)
-        wider = with_one(spread, every, beside.force, self.fine.unit)
-        if wider is None:
-            return model
-        unlearned = UNLEARNED * np.eye(count_of(wider))
-        return self.likeliest(dataclasses.replace(model, beside=Beside(wider, beside.path, unlearned)))
-
-    def _in_currents(self, model: Model) -> list[Model]:
-        """The model with each steady motion of the water that it does not have."""
-        water = [i for i in self.open(model) if issubclass(self.layout.suspects[i].effect, WaterEffect)]
-        return [self.with_member(model, Member(i), np.zeros(self.layout.columns[i].shape[1])) for i in water]
-
     def sampled(self, model: Model) -> "Sample":
         """Some windows out of many, and the model refined on these; all where there are not many."""
         few, which = self._sample
@@ -698,15 +548,6 @@ class Workbench:
             here = dataclasses.replace(model, delta=jnp.asarray(delta), weight=weight, cost=np.inf)
             self._sampled = model, few.refine(here)
         return Sample(few, self._sampled[1], which.step)
-
-    def fitted(self, model: Model) -> Model:
-        """The model refined; raises `InputError` where the vehicle runs away along the logs."""
-        out = self.likeliest(model)
-        if model.beside is not None and np.isfinite(out.cost):
-            out = self.amid_more(out)
-        if not np.isfinite(out.cost):
-            raise runaway(self.data.logs[0].name, self.vehicle.name)
-        return out
 
     def frozen(self, model: Model) -> Model:
         """The model with the file's coefficients held at their values."""
@@ -730,34 +571,9 @@ class Workbench:
         return np.asarray(_water(plant_of, jnp.asarray(theta), jnp.asarray(last)))
 
     @property
-    def _own_weight(self) -> Float[np.ndarray, "windows steps channels"]:
+    def own_weight(self) -> Float[np.ndarray, "windows steps channels"]:
         """One over the noise of the sensors alone, 0 where nothing was measured."""
         return np.where(np.asarray(self.data.windows.weight) > 0, np.nan_to_num(1.0 / self.own_noise), 0.0)
-
-    def largest_noise(self) -> Float[np.ndarray, " channels"]:
-        """Noise per channel at which it tells no more than that it stays as it is within a window."""
-        return largest(np.asarray(self.data.windows.measured), self._own_weight) * self.own_noise
-
-    def noise_left(self, model: Model) -> Float[np.ndarray, " channels"]:
-        """Noise per channel that the model leaves over the windows, of samples that are worth one each.
-
-        That of the sensors where it is no more; see `fitting._weights`.
-        """
-        most = self.largest_noise() / self.own_noise
-        own = self._own_weight
-        return overdispersion(self._errors(model), own, np.nan_to_num(most, nan=1.0)) * self.own_noise
-
-    def left(self, model: Model) -> Float[np.ndarray, " channels"]:
-        """Root mean square error that the model leaves in each channel, in units of its sensor's noise."""
-        count = (self._own_weight > 0).sum(axis=(0, 1))
-        return np.sqrt((self._errors(model) ** 2).sum(axis=(0, 1)) / np.maximum(count, 1))
-
-    def _errors(self, model: Model) -> Float[np.ndarray, "windows steps channels"]:
-        """Prediction minus measured in units of the sensors' own noise, 0 where nothing was measured."""
-        model = self.undisturbed(model)
-        channels = predict(self.problem(model.members), jnp.asarray(self.theta(model)), model.delta)[0]
-        error = np.asarray(channels)[: self.count] - np.asarray(self.data.windows.measured)
-        return np.asarray(wrapped(error)) * self._own_weight
 
     def as_connected(self, *otherwise: Placed) -> "Workbench":
         """The same with the columns as the vehicle file has them, or as causes of ours exchange these."""
@@ -771,54 +587,10 @@ class Workbench:
         """The same with other logs, whose programs are those of its own where there is room."""
         return self._like(data=cut(self.vehicle, logs, self.noise, self.data.length), room=self.room)
 
-    def log_score(self, model: Model) -> float:
-        """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
-
-        Given the sizes and memories of the disturbance that suit these logs best: their weather is not that
-        of the others, and a model is not to blame for it.
-
-        - `model`: of another workbench, beside a disturbance; what begins has begun.
-        """
-        assert model.beside is not None
-        fine, begun = self.fine, tuple(dataclasses.replace(member, since=None) for member in model.members)
-        force = dataclasses.replace(model.beside.force, gap=fine.begin.gap, joined=fine.begin.joined)
-        theta = jnp.asarray(self.theta(dataclasses.replace(model, members=begun)))
-        # As wide as that of a refinement, whose program this is then.
-        nothing = Affine(theta, jnp.zeros((theta.shape[1], SLOTS)), jnp.ones((len(theta), SLOTS)))
-        problem, path = self.problem(begun, fine.problem), fine.path
-        group, covariance = jnp.zeros(len(fine.group), int), model.beside.covariance
-        scores = []
-        for time in range(WEATHERS):
-            if time:
-                every, spread = (
-                    path_lines(problem, nothing, force, path),
-                    start_spread(problem.start_precision),
-                )
-                force, covariance, _ = estimated(spread, every, force, fine.unit, covariance)
-            found = innovations(problem, nothing, force, path, group, 1)
-            for _ in range(PASSES - 1):
-                found = innovations(problem, nothing, force, found.path, group, 1)
-            path = found.path
-            minus_twice = float(np.asarray(found.minus_twice)[: fine.count].sum())
-            scores.append(-0.5 * (minus_twice / self.samples + float(np.log(2 * np.pi))))
-        return max(filter(np.isfinite, scores), default=-np.inf)
-
-    def whitened(self, model: Model) -> Float[np.ndarray, "windows steps rows"]:
-        """What each sample says that none before it did, in standard deviations; NaN where none was taken.
-
-        Rows are the channels that are measured; only beside a disturbance.
-        """
-        assert model.beside is not None
-        (problem, affine), beside = self._along(model), model.beside
-        white = np.asarray(whitened(problem, affine, beside.force, beside.path))
-        white = white[: self.fine.count]
-        taken = np.asarray(problem.windows.weight)[: self.fine.count][..., np.array(problem.channels)] > 0
-        return np.where(taken, white, np.nan)
-
     def reweighed(self, noise: Float[np.ndarray, " channels"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""
         factor = np.nan_to_num(noise / self.own_noise, nan=1.0)
-        weight = scaled(self._own_weight, factor, self.data.logs[0].dt)
+        weight = scaled(self.own_weight, factor, self.data.logs[0].dt)
         windows = dataclasses.replace(self.data.windows, weight=jnp.asarray(weight))
         return self._like(data=dataclasses.replace(self.data, windows=windows), noise=noise)
 
@@ -978,7 +750,7 @@ class Workbench:
         """
         if model.beside is None:
             return self._screening(model)[1]
-        problem, affine = self._along(model)
+        problem, affine = self.along(model)
         parts = self.fine.parts
         group = jnp.arange(self.room.windows * parts) // parts
         found = free_wrench(

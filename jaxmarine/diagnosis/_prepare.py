@@ -24,10 +24,13 @@ from ..fitting import (
 from ..logs import Log, Note, alike
 from ..simulation import substeps
 from ..vehicle import Placed, Vehicle
+from ._amid import refine_fully
 from ._criteria import DEFAULT, Criteria
+from ._explanation import Member, Model
 from ._filed import refiled
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
-from ._model import SLOTS, Member, Model, Workbench, same_log
+from ._model import SLOTS, Workbench, same_log
+from ._noises import largest_noise, noise_left
 from ._saturated import saturate
 from ._supplied import supplied
 
@@ -298,9 +301,9 @@ def rescaled(bench: Workbench, begun: Model) -> Workbench:
     free = _unstated(bench)
     if not free:
         return bench
-    bench = _weighted(bench, free, bench.largest_noise())
+    bench = _weighted(bench, free, largest_noise(bench))
     for model in (bench.frozen(begun), begun):
-        bench = _weighted(bench, free, bench.noise_left(bench.refine(model)))
+        bench = _weighted(bench, free, noise_left(bench, bench.refine(model)))
     return bench
 
 
@@ -311,7 +314,7 @@ def fitted(bench: Workbench, model: Model) -> tuple[Workbench, Model]:
     """
     finest = FINEST * bench.split
     while True:
-        model = bench.fitted(model)
+        model = refine_fully(bench, model)
         now = refiled(bench.vehicle, bench.base, model.z[: len(bench.base)])
         needed = min(substeps(now, bench.data.hold, _speeds(bench.data.logs)), finest)
         if needed <= bench.split:
@@ -327,14 +330,14 @@ def sharpened(bench: Workbench, model: Model) -> Workbench | None:
     free = _unstated(bench)
     if not free or not model.members:
         return None
-    least = np.fmin(bench.noise, bench.noise_left(model))
+    least = np.fmin(bench.noise, noise_left(bench, model))
     if (bench.noise < NEWS * least)[free].all():
         return None
     # Refined with other weights the model leaves less of what these had hidden.
     for _ in range(WEIGHINGS):
         bench, before = _weighted(bench, free, least), least
         model = bench.refine(model)
-        least = np.fmin(before, bench.noise_left(model))
+        least = np.fmin(before, noise_left(bench, model))
         if settled(before[free], least[free]):
             break
     return bench

@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
+from ._amid import amid_more, hurried, price
+from ._explanation import Beginning, Member, Model
 from ._fine import STRAIGHT
 from ._knots import knots, wave_start
-from ._model import Beginning, Member, Model, Workbench
+from ._model import Workbench
 from ._score import Reduced, savings, scatter, step_with
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
@@ -326,7 +328,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     late = [one for one in paying if one.since is not None][:SHORTLIST_BEGUN]
     starts: list[tuple[Member, np.ndarray | None]] = [(one, None) for one in (*always, *late)]
     starts += probes(bench, model, max(ranked.values(), default=0.0))
-    quick = bench.hurried(model)
+    quick = hurried(model)
     hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
     begun = [_joined(bench, model, member, value) for member, value in starts]
@@ -440,7 +442,7 @@ def nats(bench: Workbench, model: Model, stats: Reduced, phi: float) -> float:
     - `phi`: dispersion of the scores, the same for all models that are compared.
     """
     narrow = 0.0 if model.frozen else narrowed(bench, model, stats)
-    own = sum(prior_nats(bench, member) for member in model.members) + bench.price(model)
+    own = sum(prior_nats(bench, member) for member in model.members) + price(bench, model)
     return -model.cost / phi - narrow - own
 
 
@@ -481,7 +483,7 @@ def search(
             decided = _decided(bench, model, _by_penalty(bench, _freed(bench, model, held[:MORE])))
         if decided is None:
             # A current that was left to its name, and has not got it, disturbs.
-            wider = bench.amid_more(model, steady=False)
+            wider = amid_more(bench, model, steady=False)
             if wider is model:
                 break
             if trials:
@@ -491,7 +493,7 @@ def search(
         one, stats = decided
         rounds.append(one)
         held = []
-        model = bench.amid_more(one.trials[0].model)
+        model = amid_more(bench, one.trials[0].model)
         if model is not one.trials[0].model:
             stats = bench.screen(model)
         model, stats = _weighted(bench, model, stats)

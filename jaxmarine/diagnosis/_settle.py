@@ -6,7 +6,8 @@ import numpy as np
 
 from ._coefficients import settle
 from ._dropped import HARMFUL, REPLACED, gone, needless
-from ._model import Model, Workbench
+from ._explanation import Model
+from ._model import Workbench
 from ._result import Dropped
 from ._search import (
     FEW_STEPS,

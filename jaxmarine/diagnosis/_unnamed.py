@@ -11,12 +11,14 @@ from .._types import RATE, VELOCITY
 from ..logs import Log, smooth_states
 from ..simulation import initial_state, simulate
 from ..vehicle import Vehicle
+from ._amid import refine_fully
 from ._answer import extended_by, wrong_by
 from ._couplings import couplings
 from ._dropped import STOOD_IN, gone, needless
+from ._explanation import Beside, Model
 from ._judge import Judged, judged
 from ._knots import Knots
-from ._model import Beside, Model, Workbench
+from ._model import Workbench
 from ._result import Dropped
 from ._score import Reduced
 from ._search import dispersion, mean_dispersion, nats, needed
@@ -147,7 +149,7 @@ class Unnamed:
         bench, start = self.bench, self.start
         if self.beside is None:
             return judged(bench, start)
-        return judged(bench, bench.fitted(dataclasses.replace(start, beside=self.beside, cost=np.inf)))
+        return judged(bench, refine_fully(bench, dataclasses.replace(start, beside=self.beside, cost=np.inf)))
 
     @functools.cached_property
     def dependences(self) -> tuple[Dependence, ...]:

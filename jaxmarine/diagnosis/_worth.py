@@ -11,9 +11,11 @@ from .._precision import need_double
 from ..effects import CATALOGUE, AbstractEffect, ExchangedThrusters
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
+from ._amid import refine_fully
 from ._bands import banded
+from ._explanation import Beginning, Member, Model
 from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
-from ._model import SLOTS, Beginning, Member, Model, Workbench, filled
+from ._model import SLOTS, Workbench, filled
 from ._prepare import opened_with
 from ._result import Gain, Predictions
 
@@ -51,7 +53,7 @@ def gain_of(
                 )
             since = Beginning(names.index(cause.since_log) if cause.since_log else 0, cause.since)
         model = bench.with_member(model, Member(i, since), value - bench.layout.neutral_of(i))
-    return measured_gain(bench, bench.fitted(model), bool(causes), (), opened.tests)[0]
+    return measured_gain(bench, refine_fully(bench, model), bool(causes), (), opened.tests)[0]
 
 
 def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Placed] = ()) -> float:
