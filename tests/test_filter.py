@@ -313,7 +313,7 @@ def test_a_log_with_a_gap_is_two_logs(disturbed):
         on = bench.on(logs)
         model = on.refine(_amid.disturbed(on, on.frozen(on.start())))
         # What a window without a next one does over a gap is of no use, and may grow beyond all bounds.
-        assert np.asarray(on._path(model, model.beside)[1].line.dt).max() == pytest.approx(0.1)
+        assert np.asarray(on.lines(model, model.beside)[1].line.dt).max() == pytest.approx(0.1)
         return on.screen(model)
 
     one, two = screened((rows(np.r_[before, after]),)), screened((rows(before), rows(after)))

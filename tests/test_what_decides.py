@@ -1,0 +1,120 @@
+"""The study of what decides: numbers with others beside them, moves that are left out, and its table."""
+
+import dataclasses
+import json
+import operator
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxmarine as jm
+from experiments import what_decides
+from experiments.blind.cases import make_case
+from experiments.blind.plant import Effect
+from experiments.what_decides import MOVES, VARIANTS, Spread, Watched, summary, table, watching, without
+from jaxmarine.diagnosis import Criteria, _settle
+from jaxmarine.diagnosis._explanation import Model
+
+SIZES = st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3)
+ARITHMETIC = (operator.add, operator.sub, operator.mul)
+ORDER = (operator.lt, operator.le, operator.gt, operator.ge)
+
+
+def spread(own: float, other: float, otherwise: set[str]) -> Spread:
+    return Spread(own, {"a": other}, otherwise)
+
+
+@given(SIZES, SIZES, SIZES, SIZES, st.sampled_from(ARITHMETIC), st.sampled_from(ORDER))
+def test_all_numbers_go_through_arithmetic_alike(own, other, first, last, apply, compare):
+    """Against the same sums made of each number by itself, as floats and as numpy's, from both sides."""
+    for number in (float, np.float64):
+        otherwise: set[str] = set()
+        after = apply(number(first), spread(own, other, otherwise))
+        before = apply(spread(own, other, otherwise), number(first))
+        for got, (x, y) in ((after, (first, own)), (before, (own, first))):
+            assert got.own == apply(x, y)
+        assert (after.others["a"], before.others["a"]) == (apply(first, other), apply(other, first))
+        for held, sides in ((number(last), (last, last)), (before, (apply(own, first), apply(other, first)))):
+            otherwise.clear()
+            told = compare(after, held)
+            assert told == compare(apply(first, own), sides[0])
+            assert ("a" in otherwise) == (told != compare(apply(first, other), sides[1]))
+
+
+def test_an_array_is_compared_number_by_number():
+    otherwise: set[str] = set()
+    told = np.array([1.0, 3.0, 5.0]) > spread(2.0, 4.0, otherwise)
+    np.testing.assert_array_equal(told, [False, True, True])
+    assert otherwise == {"a"}
+    otherwise.clear()
+    assert (np.array([1.0, 5.0]) > spread(2.0, 4.0, otherwise)).any() and not otherwise
+
+
+def test_criteria_that_watch_are_the_default_and_know_their_variants():
+    watched, default = Watched(), Criteria()
+    for field in dataclasses.fields(Criteria):
+        for sign in "-+":
+            other = getattr(VARIANTS[f"{field.name} {sign}"], field.name) / getattr(default, field.name)
+            # A count moves by whole ones.
+            wide = (0.3, 0.5) if isinstance(getattr(default, field.name), int) else (0.3, 0.3)
+            assert wide[0] - 1e-9 <= abs(other - 1) <= wide[1] + 1e-9
+    assert not watched.nats > default.nats + 0.25  # log 1.3 is 0.26
+    assert watched.otherwise == {"odds +"}
+    assert watched.file_error == default.file_error
+    assert watched.otherwise == {"odds +", "file_error -", "file_error +"}
+
+
+def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told():
+    made = _settle.pruned
+    with without(MOVES["drop"]):
+        assert _settle.pruned(None, "model") == "model"
+    assert _settle.pruned is made
+    # It returns the model that it was given where that has no members, and does nothing then.
+    still = Model((), np.zeros(0), jnp.zeros((1, 12)), 0.0)
+    with watching(MOVES) as acted:
+        assert _settle.pruned(None, still) is still
+    assert acted == set()
+
+
+def log(case: str, whole: bool, again: dict[str, bool], severity: float = 3.0) -> dict:
+    rows = {name: {"whole": right} for name, right in again.items()}
+    return {"case": case, "kind": "single", "severity": severity, "whole": whole, "again": rows}
+
+
+def test_rates_are_those_of_what_was_made_anew_and_else_those_by_default():
+    rows = [
+        log("a", True, {"odds +": False, "without drop": True}),
+        log("b", False, {"odds +": True, "odds -": True}),
+        log("c", True, {}),
+        log("d", True, {"odds +": False}, severity=1.1),  # not to be seen, and not counted
+        log("e", True, {"without drop": False}),
+    ]
+    found = summary(rows)
+    assert (found["logs"], found["seen"], found["right"]) == (5, 4, 3)
+    of = found["variants"]
+    assert of["odds +"] == {"again": 2, "right": 3, "points": 0.0, "lost": ["a"], "won": ["b"]}
+    assert of["odds -"] == {"again": 1, "right": 4, "points": 25.0, "lost": [], "won": ["b"]}
+    assert of["without drop"]["right"] == 2 and of["apart +"]["again"] == 0
+    lines = table(found).splitlines()
+    assert "| `odds` | 150 | +30 % | 2 of 4 | 3 | +0.0 | `a` | `b` |" in lines
+    assert sum(line.startswith("| `") for line in lines) == len(VARIANTS)
+
+
+@pytest.mark.slow
+def test_what_no_comparison_decides_otherwise_is_the_same_diagnosis(tmp_path):
+    """Of a short log of the boat each number is moved that is said to change nothing, and nothing does."""
+    weak = Effect("thruster_gain", "port", {"factor": 0.8})
+    answer = make_case(tmp_path, "cybership2", [weak], 7, duration_train=60.0, duration_test=60.0)
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    craft = jm.load_vehicle(tmp_path / "vehicle.toml")
+    train, test = (jm.read_log(tmp_path / f"{part}.csv", craft) for part in ("train", "test"))
+    watched = Watched()
+    said = jm.diagnose(craft, train, test, criteria=watched).to_json()
+    same = sorted({*VARIANTS} - watched.otherwise)
+    assert len(same) > len(VARIANTS) / 2
+    for name in same:
+        assert jm.diagnose(craft, train, test, criteria=VARIANTS[name]).to_json() == said, name
+    assert what_decides.row(tmp_path)["again"].keys() >= watched.otherwise
