@@ -223,7 +223,7 @@ MOVES = {
     ),
     "disturbance": Move(
         "a disturbance in the model where commands answer what was measured",
-        ((Workbench, "disturbed", lambda _, model: model, _other_model),),
+        ((_diagnose, "disturbed", lambda _, model: model, _other_model),),
     ),
     "worth": Move(
         "names that predict no better than the file are dropped",
