@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import operator
+from unittest.mock import Mock
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,7 @@ from experiments.blind.plant import Effect
 from experiments.what_decides import MOVES, VARIANTS, Spread, Watched, summary, table, watching, without
 from jaxmarine.diagnosis import Criteria, _settle
 from jaxmarine.diagnosis._explanation import Model
+from jaxmarine.diagnosis._model import Workbench
 
 SIZES = st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3)
 ARITHMETIC = (operator.add, operator.sub, operator.mul)
@@ -75,7 +77,7 @@ def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told():
     # It returns the model that it was given where that has no members, and does nothing then.
     still = Model((), np.zeros(0), jnp.zeros((1, 12)), 0.0)
     with watching(MOVES) as acted:
-        assert _settle.pruned(None, still) is still
+        assert _settle.pruned(Mock(spec=Workbench), still) is still
     assert acted == set()
 
 
