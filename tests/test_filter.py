@@ -340,6 +340,20 @@ def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     assert log_score(again, braked) < log_score(again, model) - 0.01
 
 
+def test_fewer_logs_are_scored_with_the_programs_of_more(disturbed):
+    """As two training logs and one test log ask for it: the room of the other log changes nothing."""
+    bench, model = disturbed
+    (log,), half = bench.data.logs, len(bench.data.logs[0].t) // 2
+    first, second = (
+        dataclasses.replace(log, t=log.t[part], channels=log.channels[part], wrench=log.wrench[part])
+        for part in (slice(half), slice(half, None))
+    )
+    roomy = bench.on((first, second)).on((first,))
+    assert roomy.room.logs == 2
+    alone = log_score(bench.on((first,)), model)
+    assert log_score(roomy, model) == pytest.approx(alone, abs=1e-9)
+
+
 def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
     """Its mean square within four standard errors, and nothing before tells of it; without memory it does."""
     bench, model = disturbed

@@ -336,13 +336,15 @@ class Workbench:
     def problem(self, members: Sequence[Member], whole: Problem | None = None) -> Problem:
         """The windows' residuals, with the segments that the beginnings make; `whole`: of other windows."""
         whole = self._problem if whole is None else whole
-        steps = whole.records.t.shape[1]
+        logs, steps = whole.records.t.shape
         stretches = self.stretches(members)
         rows = [np.pad(row, (0, steps - len(row)), mode="edge") for row in stretches.of_samples]
+        # Of logs that there is room for and that are not there nothing is asked.
+        segment = np.pad(np.array(rows), ((0, logs - len(rows)), (0, 0)), mode="edge")
         return eqx.tree_at(
             lambda p: (p.records.segment, p.plant_of.gates),
             whole,
-            (jnp.asarray(np.array(rows)), jnp.asarray(filled(stretches.gates))),
+            (jnp.asarray(segment), jnp.asarray(filled(stretches.gates))),
         )
 
     def stood_for(self, model: Model) -> Bool[np.ndarray, " base"]:
