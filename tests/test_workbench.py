@@ -42,6 +42,7 @@ from jaxmarine.effects import (
     QuadraticDamping,
     ReverseThrust,
     Saturation,
+    SurfaceStuck,
     ThrusterGain,
     place,
 )
@@ -53,6 +54,7 @@ from jaxmarine.simulation import initial_state, simulate, substeps
 from jaxmarine.vehicle import Damping, Placed, Thrusters
 from jaxmarine.vehicle_io import suspect_named
 from tests.boats import NOISE, boat, record, steps
+from tests.crafts import packaged
 
 # Where a test is not about the catalogue: a thruster, and the coefficients of the file. Quick to compile.
 FEW = (ThrusterGain, LinearDamping, QuadraticDamping, AddedMass)
@@ -119,6 +121,12 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
     assert [labels[member.suspect] for member in found.model.members] == ["thruster_gain:port"]
     saved = [trial.saved for one in found.rounds for trial in one.trials if trial.member.suspect in blind]
     assert np.abs(saved).max(initial=0.0) < 1.0
+
+
+def test_suspects_that_the_craft_cannot_have_are_refused_in_a_sentence():
+    for none in ((), (SurfaceStuck,)):
+        with pytest.raises(InputError, match=r"\w+: can have none of the suspected effects; give a cat"):
+            saturate(packaged("tethra"), none)
 
 
 @pytest.mark.parametrize(

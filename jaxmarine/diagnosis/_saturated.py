@@ -71,10 +71,16 @@ def saturate(
 ) -> tuple[tuple[AbstractEffect, ...], Layout]:
     """The catalogue's families at their neutral value, and the layout of their parameters.
 
-    A suspect without a number to fit is none of a search, and a family without suspects is left out.
+    A suspect without a number to fit is none of a search, and a family without suspects is left out. Raises
+    `InputError` where none is left.
     """
     # What accuses nothing here would only be computed along.
     catalogue = [cls for cls in catalogue if cls.suspects(vehicle)]
+    if not catalogue:
+        raise InputError(
+            f"{vehicle.name}: can have none of the suspected effects; give a catalogue with one that it may "
+            "have."
+        )
     families = tuple(cls.neutral(vehicle) for cls in catalogue)
     parts = [np.concatenate([np.zeros(0), *map(np.ravel, jax.tree.leaves(one))]) for one in families]
     flat, offsets = np.concatenate(parts), np.cumsum([0, *map(len, parts)])[:-1]
