@@ -26,9 +26,9 @@ from scipy import special, stats
 
 from jaxmarine._angles import ANGLES, wrap_to_pi
 from jaxmarine._types import ALWAYS
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._plausible import full_thrust
 from jaxmarine.diagnosis._saturated import SaturatedPlant
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.physics import Asked, Late, compose
 from jaxmarine.simulation import hold, initial_state
 from jaxmarine.vehicle import Input, Plant, State

@@ -40,12 +40,12 @@ from jaxmarine._types import CHANNELS, DOFS, RATE, VELOCITY
 from jaxmarine.diagnosis._explanation import Member, Model
 from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
-from jaxmarine.diagnosis._model import SEGMENTS, Workbench
 from jaxmarine.diagnosis._noises import noise_left
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._score import solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
 from jaxmarine.diagnosis._unknown import Dependence
+from jaxmarine.diagnosis._workbench import SEGMENTS, Workbench
 from jaxmarine.diagnosis._worth import measured_gain
 from jaxmarine.effects import CATALOGUE
 from jaxmarine.fitting import Affine, linearise

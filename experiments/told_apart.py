@@ -42,10 +42,10 @@ from experiments.blind.vehicle import load
 from experiments.rivals import starts
 from jaxmarine.diagnosis import Box, plan
 from jaxmarine.diagnosis._explanation import Member, Model
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._plan import HOLD, RANDOM, STAY, WALL, _Causes, _causes, _Flown, _improved, _leaving
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._search import ROUGH, STEPS
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.effects import CATALOGUE, place
 from jaxmarine.vehicle_io import suspect_named
 

@@ -3,6 +3,7 @@
 usage: python -m experiments.what_decides --cases DIR --out DIR [--jobs 1] [--quick]
 
 `--cases` is a folder of logs with known answers that `python -m experiments.blind_matrix` drew (`cases_…`).
+Writes a row per log below rows/, results.json and results.md.
 
 Most of what is moved changes nothing on most logs, and that needs no second diagnosis. Criteria are handed
 over as numbers that hold 30 % less and 30 % more beside their own value, through all arithmetic: where no
@@ -30,10 +31,9 @@ import jaxmarine as jm
 from experiments._study import program, wilson, write_results
 from experiments.blind import grading
 from experiments.blind_matrix import BLOCK, GROUPS, detectable, written
-from jaxmarine.diagnosis import Criteria, _coefficients, _diagnose, _prepare, _search, _settle
-from jaxmarine.diagnosis._model import Workbench
+from jaxmarine.diagnosis import Criteria, _coefficients, _diagnose, _prepare, _search, _settle, _unnamed
 from jaxmarine.diagnosis._search import trial_of
-from jaxmarine.diagnosis._unnamed import Answer, Unnamed
+from jaxmarine.diagnosis._workbench import Workbench
 
 SHARE = 0.3
 # Numbers of which more than comparisons is made: where one is asked for, the diagnosis is made once more.
@@ -84,6 +84,17 @@ class Spread:
     def __rmul__(self, other: Any) -> "Spread":
         return self._each(operator.mul, other)
 
+    __hash__ = None  # type: ignore[assignment]
+
+    def __bool__(self) -> bool:
+        raise TypeError("a criterion is compared with something, or the study sees nothing of it")
+
+    def __eq__(self, other: object) -> Any:
+        return self._compared(operator.eq, other)
+
+    def __ne__(self, other: object) -> Any:
+        return self._compared(operator.ne, other)
+
     def __lt__(self, other: Any) -> Any:
         return self._compared(operator.lt, other)
 
@@ -114,7 +125,7 @@ class Watched(Criteria):
     def __getattribute__(self, name: str) -> Any:
         if name not in FIELDS and name not in ("nats", "close"):
             return super().__getattribute__(name)
-        others: dict[str, Any] = {one: getattr(moved, name) for one, moved in VARIANTS.items()}
+        others: dict[str, Any] = {one: getattr(other, name) for one, other in VARIANTS.items()}
         own = getattr(Criteria(), name)
         others = {one: x for one, x in others.items() if x != own}
         if name in COUNTED_WITH:
@@ -168,23 +179,18 @@ MOVES = {
     ),
     "beginning": Move(
         "a cause may begin within the log",
-        (
-            (Workbench, "may_begin", lambda *_: False, lambda _, out: False),
-            (
-                _diagnose,
-                "search",
-                _search.search,
-                lambda _, out: any(r.accepted and r.trials[0].member.since is not None for r in out.rounds),
-            ),
-        ),
+        ((Workbench, "may_begin", lambda *_: False, lambda _, out: out),),
     ),
     "shift": Move(
-        "a beginning is moved to where it costs least",
+        "a beginning is moved in the end to where it costs least",
         ((_settle, "_beginnings_refined", lambda _, model: model, _other_model),),
     ),
     "drop": Move(
         "backward elimination: what is not needed beside the others is dropped",
-        ((_settle, "pruned", lambda _, model: model, _other_model),),
+        (
+            (_settle, "pruned", lambda _, model: model, _other_model),
+            (_unnamed, "pruned", lambda _, model: model, _other_model),
+        ),
     ),
     "swap": Move(
         "another cause in the place of one, now that the others are known",
@@ -194,7 +200,8 @@ MOVES = {
                 _coefficients,
                 "_instead",
                 lambda _, model, member, __: (model, (trial_of(model, member, model),)),
-                lambda args, out: out[0] is not args[1],
+                # What else was weighed there are a finding's alternatives.
+                lambda args, out: out[0] is not args[1] or len(out[1]) > 1,
             ),
         ),
     ),
@@ -212,13 +219,8 @@ MOVES = {
     "unknown": Move(
         "forces without a name that depend on signals",
         (
-            (
-                _diagnose,
-                "with_unknown",
-                lambda _, now, dense, __: Answer(now, (), dense),
-                lambda _, out: bool(out.unknown),
-            ),
-            (Unnamed, "likelier", lambda *_: False, lambda _, out: out),
+            (_unnamed, "_dependences", lambda *_: (), lambda _, out: len(out) > 0),
+            (_unnamed, "size_only", lambda *_: (), lambda _, out: len(out) > 0),
         ),
     ),
     "disturbance": Move(
@@ -226,7 +228,7 @@ MOVES = {
         ((_diagnose, "disturbed", lambda _, model: model, _other_model),),
     ),
     "worth": Move(
-        "names that predict no better than the file are dropped",
+        "names are dropped that predict no better than the file, or than the model without them",
         (
             (
                 _diagnose,
@@ -234,6 +236,7 @@ MOVES = {
                 lambda *args: (args[2], None, []),
                 lambda args, out: out[0] is not args[2],
             ),
+            (_settle, "_without_harm", lambda _, model, __: model, _other_model),
         ),
     ),
 }
@@ -277,8 +280,8 @@ def row(folder: Path) -> Row:
     vehicle = jm.load_vehicle(folder / "vehicle.toml")
     train, test = (jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
 
-    def graded(criteria: Criteria | None = None) -> Row:
-        said = jm.diagnose(vehicle, train, test, criteria=criteria or Criteria()).to_json()
+    def graded(criteria: Criteria) -> Row:
+        said = jm.diagnose(vehicle, train, test, criteria=criteria).to_json()
         grade = grading.grade(answer, said)
         names = [[f["effect"], f["target"], f["since"]] for f in said["findings"]]
         return {"first": grade["first"], "whole": grade["whole"], "verdict": said["verdict"], "named": names}
@@ -286,10 +289,10 @@ def row(folder: Path) -> Row:
     watched = Watched()
     with watching(MOVES) as acted:
         own = graded(watched)
-    others = {name: graded(VARIANTS[name]) for name in sorted(watched.otherwise)}
+    others = {name: or_refused(graded, VARIANTS[name]) for name in sorted(watched.otherwise)}
     for name in sorted(acted):
         with without(MOVES[name]):
-            others[f"without {name}"] = graded()
+            others[f"without {name}"] = or_refused(graded, Criteria())
     options = answer["options"]
     return {
         "case": folder.name,
@@ -300,6 +303,14 @@ def row(folder: Path) -> Row:
         **own,
         "again": others,
     }
+
+
+def or_refused(graded: Callable[[Criteria], Row], criteria: Criteria) -> Row:
+    """The grade, or that no answer came: of a craft that runs away, as with columns that are exchanged."""
+    try:
+        return graded(criteria)
+    except jm.InputError:
+        return {"first": False, "whole": False, "verdict": "refused", "named": []}
 
 
 def kept(folders: Sequence[Path], out: Path) -> int:
@@ -331,6 +342,7 @@ def summary(rows: Sequence[Row]) -> Row:
     seen = [r for r in rows if detectable(r)]
     own = sum(r["whole"] for r in seen)
     out: Row = {"logs": len(rows), "seen": len(seen), "right": own, "interval": wilson(own, len(seen))}
+    out["programs"] = sorted({r["program"] for r in rows})
     out["variants"] = {
         name: variant(name, seen) for name in (*VARIANTS, *(f"without {move}" for move in MOVES))
     }
@@ -343,8 +355,10 @@ def variant(name: str, seen: Sequence[Row]) -> Row:
         [r["case"] for r in seen if name in r["again"] and (r["whole"], r["again"][name]["whole"]) == moves]
         for moves in ((True, False), (False, True))
     )
+    changed = [r for r in seen if name in r["again"] and differs(r, r["again"][name])]
     return {
         "again": sum(name in r["again"] for r in seen),
+        "changed": len(changed),
         "right": right,
         "points": 100 * (right - sum(r["whole"] for r in seen)) / max(len(seen), 1),
         "lost": lost,
@@ -352,25 +366,36 @@ def variant(name: str, seen: Sequence[Row]) -> Row:
     }
 
 
+def differs(own: Row, other: Row) -> bool:
+    """Whether an answer has another verdict or other names."""
+    return any(own[key] != other[key] for key in ("verdict", "named"))
+
+
 def table(s: Row) -> str:
     """The summary as Markdown."""
     lines = [
         f"{s['logs']} logs, {s['seen']} of them with nothing hidden or detectable, of which {s['right']} are "
         "answered wholly right by default.",
+        *([f"Rows are by {len(s['programs'])} programs."] if len(s["programs"]) > 1 else []),
         "",
-        "| criterion | default | by | decides otherwise | whole answers | points | lost | won |",
-        "|---" * 8 + "|",
+        "| criterion | default | by | made once more | other names | right | points | lost | won |",
+        "|---" * 9 + "|",
     ]
 
     def cells(one: Row) -> tuple[str, ...]:
         cases = (", ".join(f"`{case}`" for case in one[key]) or "–" for key in ("lost", "won"))
-        return (f"{one['again']} of {s['seen']}", str(one["right"]), f"{one['points']:+.1f}", *cases)
+        counts = (one["again"], one["changed"], one["right"])
+        return (*map(str, counts), f"{one['points']:+.1f}", *cases)
 
     for name in VARIANTS:
         field, sign = name.split()
         first = (f"`{field}`", f"{getattr(Criteria(), field):g}", f"{sign}{100 * SHARE:.0f} %")
         lines.append("| " + " | ".join((*first, *cells(s["variants"][name]))) + " |")
-    lines += ["", "| left out | did something | whole answers | points | lost | won |", "|---" * 6 + "|"]
+    lines += [
+        "",
+        "| left out | made once more | other names | right | points | lost | won |",
+        "|---" * 7 + "|",
+    ]
     for name, move in MOVES.items():
         lines.append("| " + " | ".join((move.words, *cells(s["variants"][f"without {name}"]))) + " |")
     return "\n".join(lines) + "\n"

@@ -10,8 +10,8 @@ import pytest
 from jaxmarine.diagnosis import Criteria
 from jaxmarine.diagnosis._answer import alternatives, spread
 from jaxmarine.diagnosis._explanation import Member, Model
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._search import Round, Trial
+from jaxmarine.diagnosis._workbench import Workbench
 
 WINDOWS, DRAWS = 75, 400
 

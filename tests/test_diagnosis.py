@@ -21,9 +21,9 @@ from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
 from jaxmarine.diagnosis._answer import _stated, alternatives
 from jaxmarine.diagnosis._explanation import Member, Model
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._saturated import Layout
 from jaxmarine.diagnosis._search import Round, Trial
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.effects import Suspect, Waves
 from jaxmarine.vehicle_io import cause_named
 

@@ -15,8 +15,8 @@ from jaxmarine.diagnosis import _amid
 from jaxmarine.diagnosis._amid import amid_more
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
-from jaxmarine.diagnosis._model import SLOTS, Workbench
 from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SteadyCurrent
 from jaxmarine.fitting import _filter, with_current

@@ -17,8 +17,8 @@ from jaxmarine.diagnosis._criteria import DEFAULT
 from jaxmarine.diagnosis._diagnose import _exchanges
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._judge import Judged
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._prepare import Opened
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.effects import ExchangedThrusters
 from jaxmarine.fitting import gross_errors, misconnected
 from jaxmarine.fitting._kinematics import contradiction, misread

@@ -9,8 +9,8 @@ import pytest
 
 from jaxmarine.diagnosis import Criteria, _search
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._score import Reduced, scatter, t_value
+from jaxmarine.diagnosis._workbench import Workbench
 
 WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6
 ALL = KNOWN + SUSPECTS

@@ -16,13 +16,13 @@ from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots
-from jaxmarine.diagnosis._model import BEGUN, Sample, Workbench
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import Found, Round, Trial, _decided, beside_file, nats, significant
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
+from jaxmarine.diagnosis._workbench import BEGUN, Sample, Workbench
 from jaxmarine.effects import LinearDamping
 from jaxmarine.fitting import Segments
 from jaxmarine.logs import Log

@@ -15,7 +15,6 @@ from experiments.blind.outside import play
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
-from jaxmarine.diagnosis._model import Workbench
 from jaxmarine.diagnosis._score import Reduced, blocks
 from jaxmarine.diagnosis._search import nats
 from jaxmarine.diagnosis._signals import Places, _played
@@ -32,6 +31,7 @@ from jaxmarine.diagnosis._unknown import (
     size_only,
 )
 from jaxmarine.diagnosis._unnamed import _scatters_beside
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.physics import from_euler, rotation
 
 WINDOWS, KNOTS, HEAVE = 60, 8, 2

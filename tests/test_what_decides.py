@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import operator
+import sys
 from unittest.mock import Mock
 
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from experiments.blind.plant import Effect
 from experiments.what_decides import MOVES, VARIANTS, Spread, Watched, summary, table, watching, without
 from jaxmarine.diagnosis import Criteria, _settle
 from jaxmarine.diagnosis._explanation import Model
-from jaxmarine.diagnosis._model import Workbench
+from jaxmarine.diagnosis._workbench import Workbench
 
 SIZES = st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3)
 ARITHMETIC = (operator.add, operator.sub, operator.mul)
@@ -46,6 +47,13 @@ def test_all_numbers_go_through_arithmetic_alike(own, other, first, last, apply,
             assert ("a" in otherwise) == (told != compare(apply(first, other), sides[1]))
 
 
+def test_a_criterion_is_no_truth_by_itself():
+    with pytest.raises(TypeError, match="is compared with something"):
+        bool(spread(1.0, 2.0, set()))
+    otherwise: set[str] = set()
+    assert spread(1.0, 2.0, otherwise) == 1.0 and otherwise == {"a"}
+
+
 def test_an_array_is_compared_number_by_number():
     otherwise: set[str] = set()
     told = np.array([1.0, 3.0, 5.0]) > spread(2.0, 4.0, otherwise)
@@ -69,7 +77,21 @@ def test_criteria_that_watch_are_the_default_and_know_their_variants():
     assert watched.otherwise == {"odds +", "file_error -", "file_error +"}
 
 
-def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told():
+def test_a_move_is_left_out_wherever_its_name_was_imported():
+    """A function that another module took by name is another name to put something in the place of."""
+    rooms = [m for name, m in sys.modules.items() if name.startswith("jaxmarine.diagnosis")]
+    for move in MOVES.values():
+        for owner, name, _, _ in move.parts:
+            if isinstance(owner, type):
+                continue
+            made, left_out = getattr(owner, name), {(one, other) for one, other, _, _ in move.parts}
+            bound = {(room, key) for room in rooms for key, x in vars(room).items() if x is made}
+            # Where it is defined nothing asks for it by that name but itself.
+            home = sys.modules[made.__module__]
+            assert bound - left_out <= {(home, name)} and (owner, name) in bound
+
+
+def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told(monkeypatch):
     made = _settle.pruned
     with without(MOVES["drop"]):
         assert _settle.pruned(None, "model") == "model"
@@ -79,11 +101,20 @@ def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told():
     with watching(MOVES) as acted:
         assert _settle.pruned(Mock(spec=Workbench), still) is still
     assert acted == set()
+    monkeypatch.setattr(_settle, "pruned", lambda bench, model: dataclasses.replace(model, cost=1.0))
+    with watching(MOVES) as acted:
+        assert _settle.pruned(None, still).cost == 1.0
+    assert acted == {"drop"}
 
 
 def log(case: str, whole: bool, again: dict[str, bool], severity: float = 3.0) -> dict:
-    rows = {name: {"whole": right} for name, right in again.items()}
-    return {"case": case, "kind": "single", "severity": severity, "whole": whole, "again": rows}
+    named, none = (
+        {"verdict": "explained", "named": [["trim", None, None]]},
+        {"verdict": "refused", "named": []},
+    )
+    rows = {name: {"whole": right, **(named if right == whole else none)} for name, right in again.items()}
+    about = {"case": case, "kind": "single", "severity": severity, "program": "1 a"}
+    return {**about, **named, "whole": whole, "again": rows}
 
 
 def test_rates_are_those_of_what_was_made_anew_and_else_those_by_default():
@@ -97,11 +128,11 @@ def test_rates_are_those_of_what_was_made_anew_and_else_those_by_default():
     found = summary(rows)
     assert (found["logs"], found["seen"], found["right"]) == (5, 4, 3)
     of = found["variants"]
-    assert of["odds +"] == {"again": 2, "right": 3, "points": 0.0, "lost": ["a"], "won": ["b"]}
-    assert of["odds -"] == {"again": 1, "right": 4, "points": 25.0, "lost": [], "won": ["b"]}
+    assert of["odds +"] == {"again": 2, "changed": 2, "right": 3, "points": 0.0, "lost": ["a"], "won": ["b"]}
+    assert of["odds -"] == {"again": 1, "changed": 1, "right": 4, "points": 25.0, "lost": [], "won": ["b"]}
     assert of["without drop"]["right"] == 2 and of["apart +"]["again"] == 0
     lines = table(found).splitlines()
-    assert "| `odds` | 150 | +30 % | 2 of 4 | 3 | +0.0 | `a` | `b` |" in lines
+    assert "| `odds` | 150 | +30 % | 2 | 2 | 3 | +0.0 | `a` | `b` |" in lines
     assert sum(line.startswith("| `") for line in lines) == len(VARIANTS)
 
 
@@ -120,3 +151,9 @@ def test_what_no_comparison_decides_otherwise_is_the_same_diagnosis(tmp_path):
     for name in same:
         assert jm.diagnose(craft, train, test, criteria=VARIANTS[name]).to_json() == said, name
     assert what_decides.row(tmp_path)["again"].keys() >= watched.otherwise
+    with watching(MOVES) as acted:
+        jm.diagnose(craft, train, test)
+    for name in sorted({*MOVES} - acted):
+        with without(MOVES[name]):
+            less = jm.diagnose(craft, train, test).to_json()
+        assert (less["findings"], less["verdict"]) == (said["findings"], said["verdict"]), name

@@ -14,26 +14,27 @@ from experiments.blind.grading import first_judged, grade
 from jaxmarine._errors import InputError
 from jaxmarine._progress import silent
 from jaxmarine._types import DOFS
-from jaxmarine.diagnosis import Criteria, Gain, _answer, _model, diagnose
+from jaxmarine.diagnosis import Criteria, Gain, _answer, _workbench, diagnose
 from jaxmarine.diagnosis._amid import refine_fully
 from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._knots import Knots, wave_start
-from jaxmarine.diagnosis._model import Workbench
-from jaxmarine.diagnosis._noises import left
+from jaxmarine.diagnosis._noises import missed_by
 from jaxmarine.diagnosis._prepare import fitted, named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
 from jaxmarine.diagnosis._score import Reduced
 from jaxmarine.diagnosis._search import _joined, _trials, search
 from jaxmarine.diagnosis._signals import Places
 from jaxmarine.diagnosis._unnamed import _going_on
+from jaxmarine.diagnosis._workbench import Workbench
 from jaxmarine.diagnosis._worth import buys_nothing
 from jaxmarine.effects import (
     CATALOGUE,
     AddedMass,
     CoupledDamping,
+    ExchangedThrusters,
     FluidMemory,
     HullLift,
     InflowLoss,
@@ -90,8 +91,8 @@ def test_noise_that_is_not_stated_is_that_of_the_sensors_once_the_cause_is_found
     # What is left of the channels that move is noise, and with half a thruster too much far more.
     free = np.tile(craft.free, 2) > 0
     found = sharper.refine(found)
-    assert np.allclose(left(sharper, found)[:12][free], 1.0, atol=0.2)
-    assert (left(raised, refine_fully(raised, begun))[:12][free] > 3.0).any()
+    assert np.allclose(missed_by(sharper, found)[:12][free], 1.0, atol=0.2)
+    assert (missed_by(raised, refine_fully(raised, begun))[:12][free] > 3.0).any()
     assert _missed(sharper, found) is None
     told = _missed(raised, refine_fully(raised, begun))
     assert told is not None and "the model misses" in told and "rather than of the sensors" in told
@@ -124,7 +125,7 @@ def test_a_cause_that_the_log_cannot_show_stands_in_nobodys_way():
 
 
 def test_suspects_that_the_craft_cannot_have_are_refused_in_a_sentence():
-    for none in ((), (SurfaceStuck,)):
+    for none in ((), (SurfaceStuck,), (ExchangedThrusters,)):
         with pytest.raises(InputError, match=r"\w+: can have none of the suspected effects; give a cat"):
             saturate(packaged("tethra"), none)
 
@@ -220,10 +221,10 @@ def test_the_last_knot_of_a_slow_log_shows():
 @pytest.mark.parametrize("counts", [(75,), (600,), (601,), (9000,), (700, 3, 900), (2,) * 700])
 def test_groups_are_few_and_of_one_log(counts):
     log = np.repeat(np.arange(len(counts)), counts)
-    group = _model._grouped(log)
+    group = _workbench._grouped(log)
     assert set(np.diff(group)) <= {0, 1} and group[0] == 0
-    assert group[-1] < _model.GROUPS + len(counts)
-    if len(log) <= _model.GROUPS:
+    assert group[-1] < _workbench.GROUPS + len(counts)
+    if len(log) <= _workbench.GROUPS:
         assert (group == np.arange(len(log))).all()
     assert all(len(set(log[group == g])) == 1 for g in range(group[-1] + 1))
 
@@ -232,7 +233,7 @@ def test_groups_are_few_and_of_one_log(counts):
 def test_windows_screened_in_groups_say_the_same_together(monkeypatch):
     log = record(boat(), steps())
     each = workbench(boat(), (log,), CATALOGUE, None)
-    monkeypatch.setattr(_model, "GROUPS", 4)
+    monkeypatch.setattr(_workbench, "GROUPS", 4)
     few = workbench(boat(), (log,), CATALOGUE, None)
     (one, two), starts = (bench.screen(bench.start()) for bench in (each, few)), few.group_windows
     assert len(one.g) == each.count and len(two.g) == len(starts) <= 4
@@ -255,7 +256,7 @@ def test_a_sample_of_the_windows_says_of_a_suspect_what_all_of_them_do(monkeypat
     model = bench.refine(bench.start())
     starts = [(Member(which), None)]
     (whole,) = _trials(bench, model, starts)
-    monkeypatch.setattr(_model, "SAMPLE", bench.count // 3)
+    monkeypatch.setattr(_workbench, "SAMPLE", bench.count // 3)
     fresh = bench.reweighed(bench.noise)
     sample = fresh.sampled(model)
     np.testing.assert_array_equal(sample.bench.data.starts, bench.data.starts[::3])

@@ -27,8 +27,8 @@ import typer
 import jaxmarine as jm
 from experiments.benchmarks._rounds import Table, Target, Timing, benchmark, compared, difference, report
 from jaxmarine._compiled import compiled
-from jaxmarine.diagnosis._model import SEGMENTS
 from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.diagnosis._workbench import SEGMENTS
 from jaxmarine.effects import AddedMass, LinearDamping, QuadraticDamping, ThrusterGain
 from jaxmarine.examples import hidden
 from jaxmarine.fitting import Problem, predict

@@ -10,7 +10,7 @@ from .._errors import runaway
 from ..effects import WaterEffect
 from ..fitting import USUAL_MEMORY, Disturbance, count_of, start_spread, with_current, with_swell
 from ._explanation import Beside, Member, Model
-from ._model import Workbench
+from ._workbench import Workbench
 
 # Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
 UNLEARNED = 0.25

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ._explanation import Member, Model
-from ._model import Workbench
 from ._score import solve
 from ._search import (
     CHANCES,
@@ -21,6 +20,7 @@ from ._search import (
     trial_of,
     weigh,
 )
+from ._workbench import Workbench
 
 # A refit with coefficients put back that ends above this many times the cost before may have gone astray.
 ASTRAY = 2.0

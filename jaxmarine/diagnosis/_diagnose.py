@@ -25,8 +25,7 @@ from ._innovations import told as doubt
 from ._judge import Judged, judged
 from ._knots import missing_wrench
 from ._learn import learn
-from ._model import Workbench
-from ._noises import left
+from ._noises import missed_by
 from ._plausible import excesses, told
 from ._prepare import Opened, fitted, opened_with, sharpened
 from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
@@ -34,6 +33,7 @@ from ._search import Found, Round, search
 from ._settle import settled
 from ._supplied import unsupplied
 from ._unnamed import Answer, Unnamed, nats_of, with_unknown
+from ._workbench import Workbench
 from ._worth import buys_nothing, gain_at_home, measured_gain, with_band
 
 # Evidence [nats] of what leaves a vehicle that runs away without it.
@@ -63,8 +63,9 @@ def diagnose(
     - `criteria`: when something is said.
 
     Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
-    runs away along them, where no test log measures what they measure, and where effects have more
-    parameters or begin at more times than there is room for; `ValueError` in single precision.
+    runs away along them, where no test log measures what they measure, where the craft can have none of the
+    suspected effects, and where these have more parameters or begin at more times than there is room for;
+    `ValueError` in single precision.
     """
     need_double("A diagnosis")
     opened = opened_with(vehicle, train, test, catalogue, window, progress, criteria)
@@ -142,7 +143,7 @@ def _missed(bench: Workbench, model: Model) -> str | None:
     if not bench.raised:
         return None
     names = [log.name for log in bench.data.logs]
-    return tell_missed(bench.vehicle, names, left(bench, model), bench.own_noise, bench.data.length)
+    return tell_missed(bench.vehicle, names, missed_by(bench, model), bench.own_noise, bench.data.length)
 
 
 def _left_out(dropped: Sequence[Dropped], findings: Sequence[Finding]) -> tuple[Dropped, ...]:

@@ -14,8 +14,8 @@ from ..disturbances import RandomWrench
 from ..fitting import FLOW, Disturbance
 from ..vehicle import Input, Plant, State, Vehicle
 from ._explanation import Model
-from ._model import Workbench
 from ._result import MissingWrench
+from ._workbench import Workbench
 
 
 def known(force: Disturbance) -> RandomWrench:

@@ -1,8 +1,8 @@
 """What was found on the way and does not stand in the answer, with a sentence that says why."""
 
 from ._explanation import Model
-from ._model import Workbench
 from ._result import Dropped
+from ._workbench import Workbench
 
 SHARPER = "With sensors as exact as what was found leaves them it was not found again."
 NEEDLESS = "Beside what else was found it explains too little of the training logs."

@@ -1,4 +1,4 @@
-"""Whether what an accepted model leaves is noise: white, and independent of past commands."""
+"""One sample ahead: how likely a model makes it, and whether what it leaves is noise, whatever came before."""
 
 import dataclasses
 import math
@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from .._types import ALL_CHANNELS
 from ..fitting import Affine, estimated, innovations, path_lines, start_spread, whitened
 from ._explanation import Model
-from ._model import SLOTS, Workbench
+from ._workbench import SLOTS, Workbench
 
 # Times that windows are followed, each time from where the one before lets one expect them to begin.
 PASSES = 3
@@ -47,7 +47,7 @@ def remembered(bench: Workbench, model: Model) -> Remembered | None:
     given = {name: of_logs for name, of_logs in given.items() if len(of_logs) == len(logs)}
     found = [
         (_evidence(white, source, ago), channel, on, ago)
-        for channel, white in _innovations(bench, model).items()
+        for channel, white in _of_channels(bench, model).items()
         for on, source in ({None: white} | given).items()
         for ago in PAST
     ]
@@ -59,13 +59,14 @@ def remembered(bench: Workbench, model: Model) -> Remembered | None:
     return Remembered(channel, on, (ago.start * dt, (ago.stop - 1) * dt), nats)
 
 
-def log_score(bench: Workbench, model: Model) -> float:
+def log_score(bench: Workbench, model: Model, weathers: int = WEATHERS) -> float:
     """Logarithm of the density of each measured number in units of its noise [nats], all before it known.
 
     Given the sizes and memories of the disturbance that suit these logs best: their weather is not that
     of the others, and a model is not to blame for it.
 
     - `model`: of another workbench, beside a disturbance; what begins has begun.
+    - `weathers`: times that the disturbance is looked at; with one it is as of the model.
     """
     assert model.beside is not None
     fine, begun = bench.fine, tuple(dataclasses.replace(member, since=None) for member in model.members)
@@ -76,7 +77,7 @@ def log_score(bench: Workbench, model: Model) -> float:
     problem, path = bench.problem(begun, fine.problem), fine.path
     group, covariance = jnp.zeros(len(fine.group), int), model.beside.covariance
     scores = []
-    for time in range(WEATHERS):
+    for time in range(weathers):
         if time:
             every, spread = (
                 path_lines(problem, nothing, force, path),
@@ -105,7 +106,7 @@ def whiten(bench: Workbench, model: Model) -> Float[np.ndarray, "windows steps r
     return np.where(taken, white, np.nan)
 
 
-def _innovations(bench: Workbench, model: Model) -> dict[str, list[Float[np.ndarray, " samples"]]]:
+def _of_channels(bench: Workbench, model: Model) -> dict[str, list[Float[np.ndarray, " samples"]]]:
     """The innovations of each measured channel over the samples of each log, NaN where there are none."""
     white, problem = whiten(bench, model), bench.fine.problem
     log, step = (np.asarray(a)[: len(white)] for a in (problem.windows.log, problem.windows.step))

@@ -6,9 +6,9 @@ import numpy as np
 
 from ._explanation import Model
 from ._knots import Knots, knots
-from ._model import Workbench
 from ._score import Reduced
 from ._search import dispersion
+from ._workbench import Workbench
 
 # What is left is sensor noise alone where its chi-square is at most this many standard deviations, and this
 # share for rounding, above its expectation (and where scores scatter as noise does).

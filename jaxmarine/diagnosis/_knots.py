@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ._explanation import Model
-from ._model import Workbench
 from ._result import MissingWrench
 from ._score import Reduced, solve
 from ._signals import Places
+from ._workbench import Workbench
 
 # Waves are looked for over this much of a log [s]: swell is hardly in step with itself for longer.
 COHERENT = 1800.0

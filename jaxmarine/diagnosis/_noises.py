@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ..fitting import largest, overdispersion, predict, wrapped
 from ._explanation import Model
-from ._model import Workbench
+from ._workbench import Workbench
 
 
 def largest_noise(bench: Workbench) -> Float[np.ndarray, " channels"]:
@@ -24,7 +24,7 @@ def noise_left(bench: Workbench, model: Model) -> Float[np.ndarray, " channels"]
     return overdispersion(_errors(bench, model), own, np.nan_to_num(most, nan=1.0)) * bench.own_noise
 
 
-def left(bench: Workbench, model: Model) -> Float[np.ndarray, " channels"]:
+def missed_by(bench: Workbench, model: Model) -> Float[np.ndarray, " channels"]:
     """Root mean square error that the model leaves in each channel, in units of its sensor's noise."""
     count = (bench.own_weight > 0).sum(axis=(0, 1))
     return np.sqrt((_errors(bench, model) ** 2).sum(axis=(0, 1)) / np.maximum(count, 1))

@@ -29,10 +29,10 @@ from ._criteria import DEFAULT, Criteria
 from ._explanation import Member, Model
 from ._filed import refiled
 from ._gain import HORIZON, LEAST, run_in_of, stride_of
-from ._model import SLOTS, Workbench, same_log
 from ._noises import largest_noise, noise_left
 from ._saturated import saturate
 from ._supplied import supplied
+from ._workbench import SLOTS, Workbench, same_log
 
 WINDOW = 4.0  # [s]
 # Statistics over windows need some of them: short logs are cut into shorter windows, down to these.

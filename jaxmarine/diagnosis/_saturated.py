@@ -72,11 +72,11 @@ def saturate(
     """The catalogue's families at their neutral value, and the layout of their parameters.
 
     A suspect without a number to fit is none of a search, and a family without suspects is left out. Raises
-    `InputError` where none is left.
+    `InputError` where no suspect is left.
     """
     # What accuses nothing here would only be computed along.
     catalogue = [cls for cls in catalogue if cls.suspects(vehicle)]
-    if not catalogue:
+    if not any(suspect.slots for cls in catalogue for suspect in cls.suspects(vehicle)):
         raise InputError(
             f"{vehicle.name}: can have none of the suspected effects; give a catalogue with one that it may "
             "have."

@@ -10,8 +10,8 @@ from ._amid import amid_more, hurried, price
 from ._explanation import Beginning, Member, Model
 from ._fine import STRAIGHT
 from ._knots import knots, wave_start
-from ._model import Workbench
 from ._score import Reduced, savings, scatter, step_with
+from ._workbench import Workbench
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
 # beginning on, of which there are so many to choose from that they would crowd the others out.

@@ -7,7 +7,6 @@ import numpy as np
 from ._coefficients import settle
 from ._dropped import HARMFUL, REPLACED, gone, needless
 from ._explanation import Model
-from ._model import Workbench
 from ._result import Dropped
 from ._search import (
     FEW_STEPS,
@@ -22,6 +21,7 @@ from ._search import (
     own_dispersion,
     replaces,
 )
+from ._workbench import Workbench
 from ._worth import gain_at_home
 
 # A member is kept without more than a few steps of a refit where those promise that its removal costs this

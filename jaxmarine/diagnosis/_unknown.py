@@ -372,7 +372,7 @@ def size_only(
     gross = chi2[order_of[-third:]].mean() > AMID_MOTION * chi2[order_of[:third]].mean()
     if not gross or alike[best] < 0 or ranks[best].pvalue * len(alike) > CHANCE:
         return ()
-    ledger = _Ledger(k)
+    ledger = _Ledger(k, criteria)
     axis = int(np.argmax((ledger.weight * ledger.y**2).sum(axis=(0, 1)) * (np.asarray(k.free) > 0)))
     tied = tuple(n for n in order[1:] if alike[n] > alike[best] - ALIKE)
     saved = float(chi2.sum() - freedom)

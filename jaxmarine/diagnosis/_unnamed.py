@@ -18,7 +18,6 @@ from ._dropped import STOOD_IN, gone, needless
 from ._explanation import Beside, Model
 from ._judge import Judged, judged
 from ._knots import Knots
-from ._model import Workbench
 from ._result import Dropped
 from ._score import Reduced
 from ._search import dispersion, mean_dispersion, nats, needed
@@ -34,6 +33,7 @@ from ._unknown import (
     nats_beside,
     size_only,
 )
+from ._workbench import Workbench
 
 
 @dataclasses.dataclass(frozen=True)

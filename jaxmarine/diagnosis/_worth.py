@@ -15,9 +15,9 @@ from ._amid import refine_fully
 from ._bands import banded
 from ._explanation import Beginning, Member, Model
 from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
-from ._model import SLOTS, Workbench, filled
 from ._prepare import opened_with
 from ._result import Gain, Predictions
+from ._workbench import SLOTS, Workbench, filled
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")

@@ -1,4 +1,4 @@
-"""The model during the search: coefficients of the file under a prior, and the members found so far."""
+"""The workbench: the saturated problem with its compiled programs, and what a search asks of the windows."""
 
 import dataclasses
 import functools
