@@ -1,4 +1,4 @@
-"""One sample ahead: how likely a model makes it, and whether what it leaves is noise, whatever came before."""
+"""One sample ahead: how likely a model makes it, and whether what it leaves is noise whatever came before."""
 
 import dataclasses
 import math
