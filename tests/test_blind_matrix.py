@@ -110,6 +110,7 @@ def test_the_page_has_the_numbers_of_the_present_code():
     page = (ROOT / "docs" / "trust.md").read_text()
     for folder, steered, words in (
         ("by_sticks", GROUPS[0], "{right} of {count} answers are wholly right"),
+        ("geared", GROUPS[0], "Of the {count} that were\ndrawn first"),
         ("fed_back", GROUPS[1], "Of {count}, those that were diagnosed when\nthis was written"),
     ):
         rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
@@ -118,7 +119,8 @@ def test_the_page_has_the_numbers_of_the_present_code():
         seen = [row for row in rows if detectable(row)]
         right = sum(row["whole"] for row in seen)
         assert words.format(right=right, count=len(seen)) in page
-    assert f"{right} have a wholly right answer" in page
+        if folder != "by_sticks":
+            assert f"{right} have a wholly right answer" in page
 
 
 def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
@@ -136,7 +138,7 @@ def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
 def test_the_page_has_what_was_missed():
     rows = [
         row
-        for folder in ("by_sticks", "fed_back")
+        for folder in ("by_sticks", "geared", "fed_back")
         for row in json.loads((HERE / folder / "results.json").read_text())["rows"]
     ]
     assert missed_table(summary(rows)) in (ROOT / "experiments" / "README.md").read_text()
