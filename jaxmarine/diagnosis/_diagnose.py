@@ -36,6 +36,13 @@ from ._unnamed import Answer, Unnamed, nats_of, with_unknown
 from ._workbench import Workbench
 from ._worth import buys_nothing, gain_at_home, measured_gain, with_band
 
+# By whether something has a name, and whether something acts that has none.
+VERDICTS: dict[tuple[bool, bool], Verdict] = {
+    (False, False): "nothing_found",
+    (True, False): "explained",
+    (True, True): "partly_explained",
+    (False, True): "unexplained",
+}
 # Evidence [nats] of what leaves a vehicle that runs away without it.
 CERTAIN = 1e6
 
@@ -69,73 +76,86 @@ def diagnose(
     """
     need_double("A diagnosis")
     opened = opened_with(vehicle, train, test, catalogue, window, progress, criteria)
-    if opened.nameless:
-        bench, rounds, measured, told, lost = opened.bench, (), None, [], ()
-        rival = Unnamed(bench, _begun(opened).beside)
-        answer = rival.answer
-    else:
-        bench, rival, found, lost = _searched(opened, progress)
-        answer, rounds = _chosen(bench, rival, found, progress)
-        answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
-    model, now = answer.model, answer.judged
+    way = _answered(opened, progress)
+    bench, answer, model, now = way.bench, way.answer, way.answer.model, way.answer.judged
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
     changed = bool(model.members or opened.exchanged or (answer.dense and answer.unknown))
     terms, learned, unlearned = _learned(bench, answer, changed, opened.tests, progress)
     changed = changed or bool(terms)
     extended = unsupplied(extended_by(bench, model, answer.dense).place(*terms), vehicle)
     progress(PREDICTING)
-    measured = measured or learned or measured_gain(bench, model, changed, terms, opened.tests)
+    measured = way.measured or learned or measured_gain(bench, model, changed, terms, opened.tests)
     std = standard_errors(bench, now, answer.dense)
     connected = bench.as_connected() if opened.exchanged else bench
-    findings = _exchanges(connected, now, opened) + findings_of(bench, now, rounds, std)
+    named = _exchanges(connected, now, opened) + findings_of(bench, now, way.rounds, std)
     logs, tests = bench.data.logs, opened.tests
-    apart = None if now.white else disagreement(extended, logs, bench.noise)
-    missing = missing_wrench(now.knots)
-    unexplained = _unexplained(answer, terms)
-    if not now.white:
-        axes = {one.target for one in unexplained}
-        both, steerable = (vehicle, extended), criteria.steerable
-        beyond = without_current(missing, bench, model, extended)
-        unexplained += excesses(beyond, both, logs, now.plain_phi, axes, bench.quiet, steerable)
-    missed = _missed(bench, now.model)
-    disturbance = None if model.beside is None else known(model.beside.force)
-    verdicts: dict[tuple[bool, bool], Verdict] = {
-        (False, False): "nothing_found",
-        (True, False): "explained",
-        (True, True): "partly_explained",
-        (False, True): "unexplained",
-    }
+    unexplained = _unexplained(bench, answer, terms, vehicle, extended)
+    missed = _missed(bench, model)
     diagnosis = Diagnosis(
-        verdict=verdicts[bool(findings), bool(unexplained)],
-        findings=findings + unexplained,
+        verdict=VERDICTS[bool(named), bool(unexplained)],
+        findings=named + unexplained,
         gain=measured[0],
         white=now.white,
         depends_on=tuple(dict.fromkeys(name for one in answer.unknown for name in one.signals)),
         vehicle=vehicle,
         extended=extended,
         recalibrated=recalibrated(bench, now, std) if answer.dense else (),
-        rounds=tuple(weighed(bench, one) for one in rounds),
-        groups=groups(findings),
-        misfit_before=2 * (Unnamed(connected) if opened.exchanged else rival).start.cost / bench.samples,
+        rounds=tuple(weighed(bench, one) for one in way.rounds),
+        groups=groups(named),
+        misfit_before=2 * (Unnamed(connected) if opened.exchanged else way.rival).start.cost / bench.samples,
         misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
         predictions=with_band(bench, model, changed, terms, measured[1]),
-        missing_before=missing_wrench(rival.judged.knots),
-        missing_after=missing,
+        missing_before=missing_wrench(way.rival.judged.knots),
+        missing_after=missing_wrench(now.knots),
         catalogue=tuple(catalogue),
-        check=bench.check(now.model),
+        check=bench.check(model),
         train=tuple(log.name for log in logs),
         tests=tuple(log.name for log in tests),
-        disturbance=disturbance,
-        doubted=_doubt(bench, model, findings),
-        contradicted=apart,
+        disturbance=None if model.beside is None else known(model.beside.force),
+        doubted=_doubt(bench, model, named),
+        contradicted=None if now.white else disagreement(extended, logs, bench.noise),
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
-        dropped=_left_out((*lost, *answer.dropped), findings),
+        dropped=_left_out((*way.lost, *answer.dropped), named),
         missed=missed is not None,
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
-    said = (*told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
+    said = (
+        *way.told,
+        *unlearned,
+        *_not_scored(diagnosis.gain),
+        *_remarks(diagnosis, answer, changed),
+    )
     notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *([missed] if missed else []), *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Way:
+    """The way to an answer.
+
+    - `bench`: with the noises that it leaves; `rival`: the file beside what has no name.
+    - `rounds`: all that was weighed; `lost`: what was found with coarser noises, and not again.
+    - `measured`: the gain, where it was asked for; `told`: what is to be said of it.
+    """
+
+    bench: Workbench
+    rival: Unnamed
+    answer: Answer
+    rounds: tuple[Round, ...] = ()
+    lost: tuple[Dropped, ...] = ()
+    measured: tuple[Gain, Predictions] | None = None
+    told: tuple[str, ...] = ()
+
+
+def _answered(opened: Opened, progress: Progress) -> _Way:
+    """Names, unknown dependences, or both, and how they were come by."""
+    if opened.nameless:
+        rival = Unnamed(opened.bench, _begun(opened).beside)
+        return _Way(opened.bench, rival, rival.answer)
+    bench, rival, found, lost = _searched(opened, progress)
+    answer, rounds = _chosen(bench, rival, found, progress)
+    answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
+    return _Way(bench, rival, answer, rounds, lost, measured, tuple(told))
 
 
 def _missed(bench: Workbench, model: Model) -> str | None:
@@ -299,21 +319,30 @@ def _exchanges(connected: Workbench, now: Judged, opened: Opened) -> tuple[Findi
     )
 
 
-def _unexplained(answer: Answer, terms: tuple[Placed, ...]) -> tuple[Finding, ...]:
-    """A finding for each axis on which something unknown acts."""
-    return tuple(
+def _unexplained(
+    bench: Workbench, answer: Answer, terms: tuple[Placed, ...], vehicle: Vehicle, extended: Vehicle
+) -> tuple[Finding, ...]:
+    """A finding for each axis on which something unknown acts, or more than a disturbance can be."""
+    now = answer.judged
+    found = tuple(
         Finding(
             effect=LearnedWrench.name,
             target=one.dof,
             since=None,
             since_log=None,
             parameters={},
-            log_evidence=0.5 * one.saved / answer.judged.plain_phi,
+            log_evidence=0.5 * one.saved / now.plain_phi,
             signals=one.signals,
             learned=one.dof in {term.target for term in terms},
         )
         for one in answer.unknown
     )
+    if now.white:
+        return found
+    axes = {one.target for one in found}
+    beyond = without_current(missing_wrench(now.knots), bench, answer.model, extended)
+    both, steerable = (vehicle, extended), bench.criteria.steerable
+    return found + excesses(beyond, both, bench.data.logs, now.plain_phi, axes, bench.quiet, steerable)
 
 
 def _not_scored(gain: Gain) -> list[str]:
