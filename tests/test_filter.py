@@ -340,18 +340,27 @@ def test_the_score_of_a_log_is_its_likelihood_per_number(disturbed):
     assert log_score(again, braked) < log_score(again, model) - 0.01
 
 
-def test_fewer_logs_are_scored_with_the_programs_of_more(disturbed):
-    """As two training logs and one test log ask for it: the room of the other log changes nothing."""
-    bench, model = disturbed
+def fewer(bench: Workbench) -> tuple[Workbench, Workbench]:
+    """A workbench of half of its log with room for one log more, and one without: one test log of two."""
     (log,), half = bench.data.logs, len(bench.data.logs[0].t) // 2
     first, second = (
         dataclasses.replace(log, t=log.t[part], channels=log.channels[part], wrench=log.wrench[part])
         for part in (slice(half), slice(half, None))
     )
-    roomy = bench.on((first, second)).on((first,))
-    assert roomy.room.logs == 2
-    alone = log_score(bench.on((first,)), model)
-    assert log_score(roomy, model) == pytest.approx(alone, abs=1e-9)
+    return bench.on((first, second)).on((first,)), bench.on((first,))
+
+
+def test_there_may_be_room_for_more_logs_than_there_are(disturbed):
+    """What acts at each sample is told of all logs that there is room for, or no program takes it."""
+    roomy, alone = (one.problem((), one.fine.problem).records for one in fewer(disturbed[0]))
+    assert roomy.segment.shape == roomy.t.shape and len(roomy.t) == 2
+    np.testing.assert_array_equal(roomy.segment[0, : alone.t.shape[1]], alone.segment[0])
+
+
+@pytest.mark.slow
+def test_fewer_logs_are_scored_with_the_programs_of_more(disturbed):
+    roomy, alone = fewer(disturbed[0])
+    assert log_score(roomy, disturbed[1]) == pytest.approx(log_score(alone, disturbed[1]), abs=1e-9)
 
 
 def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
