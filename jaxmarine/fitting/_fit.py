@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -185,35 +185,17 @@ def fit(
     if not logs and shares is None:
         raise InputError("A fit needs at least one log.")
     need_double("A fit")
-    if loss not in ("trajectory", "one_step"):
-        raise ValueError(f"Argument `loss` must be trajectory or one_step, but is {loss!r}.")
-    if starts not in ("estimated", "measured") or (starts == "measured" and loss == "one_step"):
-        raise ValueError(
-            f"Argument `starts` must be estimated, or measured with the trajectory loss, but is {starts!r}."
-        )
-    if reject and loss == "one_step":
-        raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
-    if shares is not None and (reject or loss == "one_step"):
-        raise ValueError("Logs that lie in several places are fitted by trajectories, without `reject`.")
+    _allowed(loss, starts, solver, reject, shares is not None)
     looks = shares.ask("look") if shares is not None else []
     logs, notes = reviewed(vehicle, logs)
     notes = (*notes, *(note for look in looks for note in look["notes"]))
     names = [log.name for log in logs] + [name for look in looks for name in look["names"]]
     weigh = noise is None
-    if noise is None:
-        each = [look["noise"] for look in looks] or [noises_of(vehicle, logs)]
-        width = max(one.shape[1] for one in each)
-        noise = median_noise(np.concatenate([widened(one, width) for one in each]), names)
+    noise = _noise(vehicle, logs, looks, names) if noise is None else noise
     # Channels that a given one does not tell are not to be used.
     noise = widened(noise, max((log.channels.shape[1] for log in logs), default=ALWAYS))
-    if solver not in ("auto", "gauss_newton", "gradients"):
-        raise ValueError(f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}.")
     hidden = hidden_layers(vehicle, free, prior)
-    if solver == "gradients" and (shares is not None or not hidden.count):
-        raise ValueError(
-            "Argument `solver`: gradients train hidden layers beside the last one, on logs in one place."
-        )
-    by_gradients = solver == "gradients" or (solver == "auto" and hidden.count > MANY and shares is None)
+    by_gradients = _takes_gradients(solver, hidden.count, shares is not None)
     freed, scales = set_free(
         vehicle,
         free,
@@ -268,6 +250,40 @@ def fit(
         rejected=estimate.rejected,
         notes=merged((*notes, missed) if missed else notes),
     )
+
+
+def _allowed(loss: str, starts: str, solver: str, reject: bool, shared: bool) -> None:
+    """Raises `ValueError` for arguments that no fit can have; `shared`: logs lie in several places."""
+    if loss not in ("trajectory", "one_step"):
+        raise ValueError(f"Argument `loss` must be trajectory or one_step, but is {loss!r}.")
+    if starts not in ("estimated", "measured") or (starts == "measured" and loss == "one_step"):
+        raise ValueError(
+            f"Argument `starts` must be estimated, or measured with the trajectory loss, but is {starts!r}."
+        )
+    if reject and loss == "one_step":
+        raise ValueError("Argument `reject` leaves out windows, which the one-step loss does not have.")
+    if shared and (reject or loss == "one_step"):
+        raise ValueError("Logs that lie in several places are fitted by trajectories, without `reject`.")
+    if solver not in ("auto", "gauss_newton", "gradients"):
+        raise ValueError(f"Argument `solver` must be auto, gauss_newton or gradients, but is {solver!r}.")
+
+
+def _takes_gradients(solver: str, weights: int, shared: bool) -> bool:
+    """Whether so many weights of hidden layers are trained by gradients; `shared`: as of `_allowed`."""
+    if solver == "gradients" and (shared or not weights):
+        raise ValueError(
+            "Argument `solver`: gradients train hidden layers beside the last one, on logs in one place."
+        )
+    return solver == "gradients" or (solver == "auto" and weights > MANY and not shared)
+
+
+def _noise(
+    vehicle: Vehicle, logs: Sequence[Log], looks: Sequence[dict[str, Any]], names: Sequence[str]
+) -> Float[np.ndarray, " channels"]:
+    """Standard deviation of each channel over all logs, here or (`looks`) elsewhere; `names`: of all."""
+    each = [look["noise"] for look in looks] or [noises_of(vehicle, logs)]
+    width = max(one.shape[1] for one in each)
+    return median_noise(np.concatenate([widened(one, width) for one in each]), names)
 
 
 def _judged(estimate: Estimate, freed: Freed, units: Units, found: Uncertainty) -> Estimate:
