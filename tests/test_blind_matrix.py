@@ -111,6 +111,7 @@ def test_the_page_has_the_numbers_of_the_present_code():
     for folder, steered, words in (
         ("by_sticks", GROUPS[0], "{right} of {count} answers are wholly right"),
         ("geared", GROUPS[0], "Of the {count} that were\ndrawn first"),
+        ("geared_fed_back", GROUPS[1], "and {right} of {count} answers are wholly right"),
         ("fed_back", GROUPS[1], "Of {count}, those that were diagnosed when\nthis was written"),
     ):
         rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
@@ -119,8 +120,18 @@ def test_the_page_has_the_numbers_of_the_present_code():
         seen = [row for row in rows if detectable(row)]
         right = sum(row["whole"] for row in seen)
         assert words.format(right=right, count=len(seen)) in page
-        if folder != "by_sticks":
+        if folder in ("geared", "fed_back"):
             assert f"{right} have a wholly right answer" in page
+
+
+def test_the_page_says_on_how_many_logs_all_this_rests():
+    page = (ROOT / "docs" / "trust.md").read_text()
+    counted = {
+        path.parent.name: sum(map(detectable, json.loads(path.read_text())["rows"]))
+        for path in HERE.glob("*/results.json")
+    }
+    assert f"was measured on {sum(counted.values())} [simulated logs]" in page
+    assert f"was measured on {counted['geared'] + counted['geared_fed_back']} logs only" in page
 
 
 def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
@@ -138,7 +149,7 @@ def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
 def test_the_page_has_what_was_missed():
     rows = [
         row
-        for folder in ("by_sticks", "geared", "fed_back")
+        for folder in ("by_sticks", "geared", "geared_fed_back", "fed_back")
         for row in json.loads((HERE / folder / "results.json").read_text())["rows"]
     ]
     assert missed_table(summary(rows)) in (ROOT / "experiments" / "README.md").read_text()

@@ -21,6 +21,8 @@ from jaxmarine.diagnosis import Criteria, _settle
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._workbench import Workbench
 
+from .conftest import ROOT
+
 SIZES = st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3)
 ARITHMETIC = (operator.add, operator.sub, operator.mul)
 ORDER = (operator.lt, operator.le, operator.gt, operator.ge)
@@ -157,3 +159,15 @@ def test_what_no_comparison_decides_otherwise_is_the_same_diagnosis(tmp_path):
         with without(MOVES[name]):
             less = jm.diagnose(craft, train, test).to_json()
         assert (less["findings"], less["verdict"]) == (said["findings"], said["verdict"]), name
+
+
+def test_the_page_has_the_rows_that_are_kept():
+    rows = json.loads((ROOT / "experiments" / "decides" / "results.json").read_text())["rows"]
+    found = summary(rows)
+    page = (ROOT / "experiments" / "README.md").read_text()
+    assert table(found) in page
+    of = [one for name, one in found["variants"].items() if name in VARIANTS]
+    changed, again = (sum(one[key] for one in of) for key in ("changed", "again"))
+    assert f"{changed} of {again} diagnoses with another criterion" in page
+    assert max(len(one["lost"]) + len(one["won"]) for one in of) == 1
+    assert "none changes the answer to more than one log" in page
