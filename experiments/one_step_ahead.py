@@ -6,7 +6,7 @@ Two models of the same fitted craft say how likely each measured number of the t
 known: one whose errors are white noise of the sensors, and one beside a disturbance on each axis (a
 Gauss-Markov wrench), whose sizes and memories are estimated from the training logs. Windows begin with any
 state. What the sensors' noise is nobody says of most measured craft, so that both take the share of what the
-file misses (`--share`) that makes the training logs likeliest.
+file misses (`SHARES`) that makes the training logs likeliest.
 """
 
 import dataclasses
@@ -33,8 +33,6 @@ SHARES = (1.0, 0.3, 0.1, 0.03, 0.01)
 WHITE, BESIDE = "white noise", "beside a disturbance"
 # A disturbance of this share of the usual size is none.
 NOTHING = 1e-6
-
-
 Row = dict[str, Any]
 
 

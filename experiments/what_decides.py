@@ -28,7 +28,7 @@ import typer
 from rich.progress import Progress
 
 import jaxmarine as jm
-from experiments._study import program, wilson, write_results
+from experiments._study import program, write_results
 from experiments.blind import grading
 from experiments.blind_matrix import BLOCK, GROUPS, detectable, written
 from jaxmarine.diagnosis import Criteria, _coefficients, _diagnose, _prepare, _search, _settle, _unnamed
@@ -69,8 +69,7 @@ class Spread:
     def __add__(self, other: Any) -> "Spread":
         return self._each(operator.add, other)
 
-    def __radd__(self, other: Any) -> "Spread":
-        return self._each(operator.add, other)
+    __radd__ = __add__
 
     def __sub__(self, other: Any) -> "Spread":
         return self._each(operator.sub, other)
@@ -81,8 +80,7 @@ class Spread:
     def __mul__(self, other: Any) -> "Spread":
         return self._each(operator.mul, other)
 
-    def __rmul__(self, other: Any) -> "Spread":
-        return self._each(operator.mul, other)
+    __rmul__ = __mul__
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -340,13 +338,14 @@ def waiting(cases: Path, out: Path) -> list[list[Path]]:
 def summary(rows: Sequence[Row]) -> Row:
     """Of each variant how often it was made anew, and the rate of whole answers beside that by default."""
     seen = [r for r in rows if detectable(r)]
-    own = sum(r["whole"] for r in seen)
-    out: Row = {"logs": len(rows), "seen": len(seen), "right": own, "interval": wilson(own, len(seen))}
-    out["programs"] = sorted({r["program"] for r in rows})
-    out["variants"] = {
-        name: variant(name, seen) for name in (*VARIANTS, *(f"without {move}" for move in MOVES))
+    names = (*VARIANTS, *(f"without {move}" for move in MOVES))
+    return {
+        "logs": len(rows),
+        "seen": len(seen),
+        "right": sum(r["whole"] for r in seen),
+        "programs": sorted({r["program"] for r in rows}),
+        "variants": {name: variant(name, seen) for name in names},
     }
-    return out
 
 
 def variant(name: str, seen: Sequence[Row]) -> Row:

@@ -28,7 +28,7 @@ from ._learn import learn
 from ._noises import missed_by
 from ._plausible import excesses, told
 from ._prepare import Opened, fitted, opened_with, sharpened
-from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, Predictions, Verdict
+from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, MissingWrench, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
 from ._supplied import unsupplied
@@ -89,7 +89,8 @@ def diagnose(
     connected = bench.as_connected() if opened.exchanged else bench
     named = _exchanges(connected, now, opened) + findings_of(bench, now, way.rounds, std)
     logs, tests = bench.data.logs, opened.tests
-    unexplained = _unexplained(bench, answer, terms, vehicle, extended)
+    missing = missing_wrench(now.knots)
+    unexplained = _unexplained(bench, answer, terms, missing, (vehicle, extended))
     missed = _missed(bench, model)
     diagnosis = Diagnosis(
         verdict=VERDICTS[bool(named), bool(unexplained)],
@@ -106,7 +107,7 @@ def diagnose(
         misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
         predictions=with_band(bench, model, changed, terms, measured[1]),
         missing_before=missing_wrench(way.rival.judged.knots),
-        missing_after=missing_wrench(now.knots),
+        missing_after=missing,
         catalogue=tuple(catalogue),
         check=bench.check(model),
         train=tuple(log.name for log in logs),
@@ -119,12 +120,7 @@ def diagnose(
         missed=missed is not None,
         clocks={log.name: log.clock for log in (*logs, *tests)},
     )
-    said = (
-        *way.told,
-        *unlearned,
-        *_not_scored(diagnosis.gain),
-        *_remarks(diagnosis, answer, changed),
-    )
+    said = (*way.told, *unlearned, *_not_scored(diagnosis.gain), *_remarks(diagnosis, answer, changed))
     notes = (*opened.gross, *diagnosis.warnings, *opened.notes, *([missed] if missed else []), *said)
     return dataclasses.replace(diagnosis, notes=merged(notes))
 
@@ -320,9 +316,16 @@ def _exchanges(connected: Workbench, now: Judged, opened: Opened) -> tuple[Findi
 
 
 def _unexplained(
-    bench: Workbench, answer: Answer, terms: tuple[Placed, ...], vehicle: Vehicle, extended: Vehicle
+    bench: Workbench,
+    answer: Answer,
+    terms: tuple[Placed, ...],
+    missing: MissingWrench,
+    vehicles: tuple[Vehicle, Vehicle],
 ) -> tuple[Finding, ...]:
-    """A finding for each axis on which something unknown acts, or more than a disturbance can be."""
+    """A finding for each axis on which something unknown acts, or more than a disturbance can be.
+
+    - `vehicles`: as filed, and extended.
+    """
     now = answer.judged
     found = tuple(
         Finding(
@@ -340,9 +343,8 @@ def _unexplained(
     if now.white:
         return found
     axes = {one.target for one in found}
-    beyond = without_current(missing_wrench(now.knots), bench, answer.model, extended)
-    both, steerable = (vehicle, extended), bench.criteria.steerable
-    return found + excesses(beyond, both, bench.data.logs, now.plain_phi, axes, bench.quiet, steerable)
+    beyond, steerable = without_current(missing, bench, answer.model, vehicles[1]), bench.criteria.steerable
+    return found + excesses(beyond, vehicles, bench.data.logs, now.plain_phi, axes, bench.quiet, steerable)
 
 
 def _not_scored(gain: Gain) -> list[str]:
