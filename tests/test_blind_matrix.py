@@ -131,7 +131,11 @@ def test_the_page_says_on_how_many_logs_all_this_rests():
         for path in HERE.glob("*/results.json")
     }
     assert f"was measured on {sum(counted.values())} [simulated logs]" in page
-    assert f"was measured on {counted['geared'] + counted['geared_fed_back']} logs only" in page
+    gear = counted["geared"] + counted["geared_fed_back"]
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    assert f"was measured on {sum(counted.values())} [simulated logs]" in readme
+    assert f"how-often-it-is-right), {gear} of them of craft with propellers" in readme
+    assert f"was measured on {gear} logs only" in page
 
 
 def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
