@@ -67,3 +67,12 @@ def test_the_table_of_the_page_is_that_of_the_results():
     (low, high), _, _ = results["within"][f"jaxmarine fit, also {', '.join(study.OF_BOATS)}"]
     assert low < study.TRIAL["trial: also gains, dead band, damping with |u| r"][0] < high
     assert f"the error in u itself is known to {low:.3f} to {high:.3f} m/s (95 %)" in " ".join(page.split())
+
+
+def test_the_page_has_what_wind_and_coupling_are_worth():
+    folder = study.HERE
+    page, worth = (folder / "README.md").read_text(), json.loads((folder / "worth.json").read_text())
+    rows = {"effects": "fit with effects", "wind_push": "and a push of the wind", "coupling": "and coupling"}
+    for name, words in rows.items():
+        assert f"| {words} | " + " | ".join(f"{x:.4f}" for x in worth[name]) + " |" in page
+    assert worth["coupling"][1] / worth["effects"][1] < 8.02 / 9
