@@ -288,6 +288,54 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
 
 
+def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
+    """Against logs in which they act: by differences of the likelihood, which is a parabola of their sizes.
+
+    One of them lasts for many windows, as what disturbs the boat does.
+    """
+    bench, model = disturbed
+    t, (log,) = bench.places.t, bench.data.logs
+    shapes = np.zeros((*t.shape, 6, 2))
+    shapes[..., 0, 0], shapes[..., 5, 1] = np.sin(2 * np.pi * t / 80.0), np.cos(2 * np.pi * t / 7.0)
+    g, h = bench.with_shapes(model, shapes)
+    step = np.asarray(bench.data.windows.step)
+    knot = np.arange(step.shape[1]) * bench.knots // step.shape[1]
+
+    def minus_twice(sizes: np.ndarray) -> float:
+        wrench = log.wrench.copy()
+        wrench[step] += (shapes @ sizes)[:, knot]
+        return float(bench.on((dataclasses.replace(log, wrench=wrench),)).screen(model).chi2.sum())
+
+    here = minus_twice(np.zeros(2))
+    for i, size in enumerate(1.0 / np.sqrt(np.diag(h)[-2:])):
+        above, below = (minus_twice(sign * size * np.eye(2)[i]) for sign in (1.0, -1.0))
+        assert (above + below - 2 * here) / (2 * size**2) == pytest.approx(h[i - 2, i - 2], rel=0.02)
+        # The slope in standard errors, without that of the determinant along the moved path.
+        assert (above - below) / 4 == pytest.approx(g[i - 2] * size, abs=0.1)
+    # What lasts is told more than four times too well window by window: as if each began with another one.
+    apart, lasts = bench.with_knots(model), shapes[..., 0].reshape(len(t), -1)
+    of_windows = apart.h[:, -6 * bench.knots :, -6 * bench.knots :]
+    assert 4 * h[-2, -2] < np.einsum("wi,wij,wj->", lasts, of_windows, lasts)
+
+
+def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
+    """As that of the log in which the wrench does not act, which had stood in for it."""
+    bench, model = disturbed
+    (log,), t = bench.data.logs, bench.places.t
+    step = np.asarray(bench.data.windows.step)
+    knot = np.arange(step.shape[1]) * bench.knots // step.shape[1]
+    acts, without = np.zeros((*t.shape, 6)), log.wrench.copy()
+    acts[..., 0] = 6.0 * np.sin(2 * np.pi * t / 80.0)
+    without[step] -= acts[:, knot]
+    on = bench.on((dataclasses.replace(log, wrench=without),))
+    spoilt = on.likeliest(dataclasses.replace(model, cost=np.inf))
+    again, lost = on.beside_wrench(spoilt, acts)
+    assert float(spoilt.beside.force.size[0]) > 1.5 * float(model.beside.force.size[0])
+    assert np.asarray(again.beside.force.size) == pytest.approx(np.asarray(model.beside.force.size), rel=0.1)
+    # Without the wrench the log asks for the larger one.
+    assert lost > 3.0
+
+
 def test_a_path_that_runs_away_is_no_step(disturbed):
     """A measured log led to a path at 1e119 with a likelihood of exp(4e99), both of them finite."""
     bench, model = disturbed

@@ -428,9 +428,8 @@ def rival_with(found: tuple[Dependence, ...] = (dependence(),)) -> Any:
     rival = Unnamed(bench)
     now, nothing = judged_as(bench.refine(start)), np.zeros(BASE)
     left = Knots(now.stats, BASE, nothing, nothing, np.zeros(6), object.__new__(Places))
-    vars(rival).update(
-        dependences=found, judged=dataclasses.replace(now, stats=bench.screen(start), left=left)
-    )
+    now = dataclasses.replace(now, stats=bench.screen(start), left=left)
+    vars(rival).update(judged=now, answer=Answer(now, found, False))
     return rival
 
 
@@ -510,7 +509,7 @@ def test_members_go_that_stood_in_and_those_that_mended_them(monkeypatch):
     bench = Bench(off(s4=0.3))
     monkeypatch.setattr(_unnamed, "extended_by", lambda bench, model, dense: boat())
     monkeypatch.setattr(_unnamed, "judged", lambda bench, model: judged_as(model))
-    monkeypatch.setattr(_unnamed, "_dependences", lambda bench, now, vehicle: (dependence(),))
+    monkeypatch.setattr(_unnamed, "_dependences", lambda bench, now, vehicle, of_file: (now, (dependence(),)))
     shares = {4: 90.0, 5: 50.0, 6: 10.0}
     monkeypatch.setattr(
         _unnamed,
@@ -550,7 +549,7 @@ def test_unknown_dependences_alone_are_the_answer_where_they_are_likelier(
     rounds = (Round((trial(bench, bench.fit(), 4),), True, 1.0),)
     monkeypatch.setattr(_diagnose, "settled", lambda bench, found: (model, dense, rounds, ()))
     monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model, white))
-    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress: answer)
+    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, progress, of_file: answer)
     monkeypatch.setattr(_diagnose, "nats_of", lambda bench, now, unknown: together if unknown else alone)
     asked = []
 
@@ -564,7 +563,7 @@ def test_unknown_dependences_alone_are_the_answer_where_they_are_likelier(
     assert weighed == rounds
     assert (chosen is answer) == named
     assert chosen.dropped == (() if named else tuple(Dropped(str(i), UNNAMED) for i in suspects(model)))
-    assert named or (chosen.unknown == rival.dependences and not chosen.changed)
+    assert named or (chosen.unknown == rival.answer.unknown and not chosen.changed)
     # A file that was refitted was compared with one that is when unknown dependences were looked for.
     assert members or not any(asked)
 

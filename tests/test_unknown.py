@@ -26,9 +26,11 @@ from jaxmarine.diagnosis._unknown import (
     acting,
     cost_of_removal,
     dependences,
+    lagged,
     likely,
     nats_beside,
     size_only,
+    tried_nats,
 )
 from jaxmarine.diagnosis._unnamed import _scatters_beside
 from jaxmarine.diagnosis._workbench import Workbench
@@ -335,6 +337,64 @@ def test_evidence_of_shapes_of_one_size_is_that_of_the_gaussian():
     assert pull**-0.5 == pytest.approx(best, rel=0.15)
 
 
+@dataclasses.dataclass(frozen=True)
+class Slow(Knots):
+    """A force in heave that is measured, amid one that lasts, whose size is estimated by the densities."""
+
+    y: np.ndarray
+    size: float
+
+    def covariance(self, size: float) -> np.ndarray:
+        ages = np.abs(np.subtract.outer(*[np.arange(self.y.size)] * 2))
+        return STD**2 * np.eye(self.y.size) + size**2 * np.exp(-ages / 20.0)
+
+    def density(self, size: float, more: np.ndarray | float = 0.0, y: np.ndarray | None = None) -> float:
+        of = multivariate_normal(np.zeros(self.y.size), self.covariance(size) + more)
+        return float(of.logpdf(self.y if y is None else y))
+
+    def likeliest(self, y: np.ndarray) -> float:
+        return max(np.geomspace(0.02, 5.0, 25), key=lambda size: self.density(size, y=y))
+
+    def summed(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = values[:, :, HEAVE].reshape(self.y.size, -1)
+        told = x.T @ np.linalg.inv(self.covariance(self.size))
+        return -told @ self.y, told @ x
+
+    def where(self, wrench: np.ndarray) -> "Slow":
+        size = self.likeliest(self.y - wrench[:, :, HEAVE].ravel())
+        lost = self.density(self.size) - self.density(size)
+        return dataclasses.replace(self, size=size, lost=self.lost + lost)
+
+
+@pytest.mark.parametrize("force", [1.0, 0.0])
+def test_what_lasts_is_estimated_again_beside_a_dependence_that_it_stood_in_for(force):
+    """Against the dense Gaussian with both; and what goes with nothing is left to what lasts."""
+    rng = np.random.default_rng(3)
+    u = drift(rng, 20.0)
+    lasting = np.linalg.cholesky(np.exp(-np.abs(np.subtract.outer(*[np.arange(u.size)] * 2)) / 20.0))
+    y = force * u.ravel() + 0.1 * lasting @ rng.normal(size=u.size) + STD * rng.normal(size=u.size)
+    whole = knots_with(u, {"u": u, "v": drift(rng, 6.0)}, rng)
+    parts = {one.name: getattr(whole, one.name) for one in dataclasses.fields(Knots)}
+    empty = {"width": 0, "precision": np.zeros(0), "offset": np.zeros(0)}
+    k = Slow(**{**parts, **empty}, y=y, size=1.0)
+    k = dataclasses.replace(k, size=k.likeliest(y))
+    one = Dependence(HEAVE, ("u",), (), 1.0, np.roll(u.ravel(), -1).reshape(*SHAPE, 1), False)
+    accepted, after = likely(k, (one,))
+    assert (accepted == (one,)) == bool(force)
+    if not force:
+        assert after is k
+        return
+    # It had stood in for most of the force.
+    assert after.size < 0.3 * k.size and after.lost > 10.0
+    shape = lagged(k, accepted)[0].features.reshape(u.size, 1)
+    shape = shape / np.sqrt((shape**2).mean())
+    best = max(k.density(after.size, size**2 * shape @ shape.T) for size in np.geomspace(0.5, 2.0, 30))
+    more = nats_beside(after, lagged(k, accepted), 1.0)
+    assert more == pytest.approx(best - k.density(k.size) - tried_nats(k), abs=0.1)
+    # Beside the one that stood in for it less was to be gained.
+    assert nats_beside(k, lagged(k, accepted), 1.0) < more - 3.0
+
+
 def test_dependences_beside_known_numbers_are_worth_what_the_densities_say():
     """The restricted likelihood of a force that goes with u², a constant known beside it."""
     rng = np.random.default_rng(13)
@@ -493,4 +553,5 @@ def test_a_dependence_must_make_the_logs_more_likely(size):
     signals = {"u": np.sin(0.11 * t), "v": np.cos(0.17 * t + 1.0)}
     proposed = dependences(knots_with(signals["u"], signals, rng), 1.0)
     assert [one.signals for one in proposed] == [("u",)]
-    assert likely(knots_with(size * signals["u"], signals, rng), proposed) == (proposed if size else ())
+    k = knots_with(size * signals["u"], signals, rng)
+    assert likely(k, proposed) == (proposed if size else (), k)

@@ -112,7 +112,7 @@ def diagnose(
         check=bench.check(model),
         train=tuple(log.name for log in logs),
         tests=tuple(log.name for log in tests),
-        disturbance=None if model.beside is None else known(model.beside.force),
+        disturbance=None if now.disturbance is None else known(now.disturbance),
         doubted=_doubt(bench, model, named),
         contradicted=None if now.white else disagreement(extended, logs, bench.noise),
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
@@ -206,7 +206,7 @@ def _chosen(
     several = len(model.members) > 1 and not now.white
     if several and rival.likelier(nats_of(bench, now, ()), now.phi):
         return _without_names(bench, rival, model, dropped, UNNAMED), rounds
-    answer = with_unknown(bench, now, dense, progress)
+    answer = with_unknown(bench, now, dense, progress, lambda: rival.answer.unknown)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     if not answer.changed or answer.judged.white:

@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from ..fitting import Disturbance
 from ._explanation import Model
-from ._knots import Knots, knots
+from ._knots import Amid, Knots, knots
 from ._score import Reduced
 from ._search import dispersion
 from ._workbench import Workbench
@@ -32,6 +33,11 @@ class Judged:
     plain_phi: float
     knots: Knots
     white: bool
+
+    @property
+    def disturbance(self) -> Disturbance | None:
+        """Beside which it stands, and what else is unknown."""
+        return self.left.disturbance if isinstance(self.left, Amid) else None
 
 
 def judged(bench: Workbench, model: Model) -> Judged:

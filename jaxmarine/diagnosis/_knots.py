@@ -10,6 +10,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from ..fitting import Disturbance
 from ._explanation import Model
 from ._result import MissingWrench
 from ._score import Reduced, solve
@@ -35,6 +36,7 @@ class Knots:
 
     - `stats`: columns are the model's z, then knots times six axes.
     - `precision`, `offset`: prior of z; `free` [6].
+    - `lost`: nats by which the logs are less likely amid these, where nothing is missing, than at best.
     """
 
     stats: Reduced
@@ -43,6 +45,7 @@ class Knots:
     offset: np.ndarray
     free: np.ndarray
     places: Places
+    lost: float = dataclasses.field(default=0.0, kw_only=True)
 
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and information, over all windows, of z and of wrenches with these values at the knots."""
@@ -54,6 +57,10 @@ class Knots:
         g_k = np.tensordot(g[:, n:], flat, 2)
         h = np.block([[h[:, :n, :n].sum(0), h_zk], [h_zk.T, h_kk]])
         return np.concatenate([g[:, :n].sum(0), g_k]), h
+
+    def where(self, wrench: Float[np.ndarray, "windows knots 6"]) -> "Knots":
+        """Amid the disturbance that suits the logs where a wrench acts, which had stood in for it, if any."""
+        return self
 
     def beside(self, values: Float[np.ndarray, "windows knots 6 features"], share: float) -> "Knots":
         """The statistics once wrenches with these values may act, each as often as a prior `share` allows.
@@ -73,14 +80,38 @@ class Knots:
         return dataclasses.replace(self, stats=after, offset=self.offset + step[:n])
 
 
+@dataclasses.dataclass(frozen=True)
+class Amid(Knots):
+    """Knots beside a model's disturbance, which remembers for longer than a window what pushed in it.
+
+    So wrenches are summed over all windows at once, each given all before it, and not by `stats`.
+    """
+
+    bench: Workbench
+    model: Model
+
+    @property
+    def disturbance(self) -> Disturbance:
+        assert self.model.beside is not None
+        return self.model.beside.force
+
+    def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
+        return self.bench.with_shapes(self.model, values)
+
+    def where(self, wrench: Float[np.ndarray, "windows knots 6"]) -> "Amid":
+        model, lost = self.bench.beside_wrench(self.model, wrench)
+        return dataclasses.replace(self, model=model, lost=self.lost + lost)
+
+
 def knots(bench: Workbench, model: Model) -> Knots:
-    """The knots' statistics at a model."""
+    """The knots' statistics at a model; `Amid` its disturbance, where it has one."""
     known, precision, offset = bench.known(model)
     # Forces on the hull depend on the velocity through the water, where that is known to move.
     places = bench.places
     signals = places.through_water(bench.water(model), places.signals)
     places = dataclasses.replace(places, signals=signals)
-    return Knots(bench.with_knots(model), known.shape[1], precision, offset, bench.vehicle.free, places)
+    own = bench.with_knots(model), known.shape[1], precision, offset, bench.vehicle.free, places
+    return Knots(*own) if model.beside is None else Amid(*own, bench, model)
 
 
 def missing_wrench(k: Knots) -> MissingWrench:

@@ -443,30 +443,30 @@ def acting(k: Knots, found: tuple[Dependence, ...]) -> Knots:
     return k.beside(_normalised(k, found), UNPULLED)
 
 
-def likely(k: Knots, found: tuple[Dependence, ...], criteria: Criteria = DEFAULT) -> tuple[Dependence, ...]:
+def likely(
+    k: Knots, found: tuple[Dependence, ...], criteria: Criteria = DEFAULT
+) -> tuple[tuple[Dependence, ...], Knots]:
     """Those of some dependences without which the logs are clearly less likely, each beside the ones before.
+
+    And the knots amid the disturbance that suits the logs beside them.
 
     The evidence of a dependence whose shapes have coefficients of one unknown size, z integrated out, against
     odds for how many sets of signals there are to try. A disturbance that goes with a signal for a while, as
-    with a command that answers it, has its own place in the likelihood and needs no dependence.
+    with a command that answers it, has its own place in the likelihood and needs no dependence. But one that
+    was estimated without the dependence had to stand in for it, and is estimated again beside it.
 
     Shapes are those of the knot before: within a knot a command already answers the force that acts in it.
-
-    - `k`: beside the disturbance.
     """
-    enough = tried_nats(k) + criteria.nats
     accepted: tuple[Dependence, ...] = ()
-    pulls = np.zeros(0)
+    least = nats_beside(k, accepted, 1.0) + criteria.nats
     for one in found:
-        g, h = _beside_shapes(k, lagged(k, (*accepted, one)))
-        first = len(g) - one.features.shape[-1]
-        own, rest = np.arange(first, len(g)), np.arange(first)
-        h[range(k.width, first), range(k.width, first)] += pulls
-        nats, pull = _evidence(*_eliminated(g, h, own, rest))
-        if nats > enough:
-            accepted = (*accepted, one)
-            pulls = np.append(pulls, np.full(len(own), pull))
-    return accepted
+        shapes = lagged(k, (*accepted, one))
+        ways = [k, k.where(_likeliest(k, shapes))]
+        nats = [nats_beside(way, shapes, 1.0) for way in ways]
+        best = int(np.argmax(nats))
+        if nats[best] > least:
+            accepted, k, least = (*accepted, one), ways[best], nats[best] + criteria.nats
+    return accepted, k
 
 
 def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
@@ -478,6 +478,13 @@ def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
     - `phi`: dispersion of the scores, by which all that is gained counts less.
     """
     found = tuple(one for one in found if not one.size_only)
+    nats, _, _ = _integrated(k, found, phi)
+    # Beside nothing it is that of the disturbance which suits the logs without any.
+    return nats - k.lost / phi if found else nats
+
+
+def _integrated(k: Knots, found: tuple[Dependence, ...], phi: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Nats that some dependences gain; gradient and information of z and of their shapes, as pulled."""
     g, h = _beside_shapes(k, found)
     rest = np.arange(k.width)
     nats = 0.5 * g[rest] @ solve(h[np.ix_(rest, rest)], g[rest]) / phi
@@ -489,7 +496,13 @@ def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
         nats += gained - tried_nats(k)
         h[own, own] += phi * pull
         rest, first = np.append(rest, own), own[-1] + 1
-    return float(nats)
+    return float(nats), g, h
+
+
+def _likeliest(k: Knots, found: tuple[Dependence, ...]) -> Float[np.ndarray, "windows knots 6"]:
+    """The wrench that dependences are likeliest to be."""
+    _, g, h = _integrated(k, found, 1.0)
+    return _normalised(k, found) @ -solve(h, g)[k.width :]
 
 
 def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
@@ -59,13 +60,23 @@ class Answer:
         return bool(self.model.members) or self.dense
 
 
-def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress) -> Answer:
-    """What the residual depends on, and the model without members that only stood in for that."""
+def with_unknown(
+    bench: Workbench,
+    now: Judged,
+    dense: bool,
+    progress: Progress,
+    of_file: Callable[[], Sequence[Dependence]] = tuple,
+) -> Answer:
+    """What the residual depends on, and the model without members that only stood in for that.
+
+    - `of_file`: what the file alone depends on, which is tried beside a disturbance too: a file that was
+      refitted has followed that, and little of it is left to see.
+    """
     dropped: tuple[Dropped, ...] = ()
     while not now.white:
         progress(LOOKING)
         vehicle = extended_by(bench, now.model, dense)
-        unknown = _dependences(bench, now, vehicle)
+        now, unknown = _dependences(bench, now, vehicle, of_file)
         if not (unknown or now.model.members or dense):
             unknown = size_only(
                 now.left, now.phi, _undisturbed(bench, vehicle), bench.freedom, bench.criteria
@@ -82,7 +93,10 @@ def with_unknown(bench: Workbench, now: Judged, dense: bool, progress: Progress)
     return Answer(now, (), dense, dropped)
 
 
-def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Dependence, ...]:
+def _dependences(
+    bench: Workbench, now: Judged, vehicle: Vehicle, of_file: Callable[[], Sequence[Dependence]] = tuple
+) -> tuple[Judged, tuple[Dependence, ...]]:
+    """On what the residual depends, and what was judged, amid the disturbance that suits the logs then."""
     # Coefficients of the file may be off before anything is unknown: coupling terms, which no refit has
     # touched, and beside named causes those that were held to name them.
     held = now.model.frozen and not now.model.members
@@ -92,8 +106,11 @@ def _dependences(bench: Workbench, now: Judged, vehicle: Vehicle) -> tuple[Depen
     undisturbed, criteria = _undisturbed(bench, vehicle), bench.criteria
     found = dependences(bent, now.plain_phi, undisturbed, bench.freedom, criteria)
     if now.model.beside is None:
-        return found
-    return likely(dataclasses.replace(now.left, precision=precision), found, criteria)
+        return now, found
+    met = {(one.axis, one.signals) for one in found}
+    proposed = (*found, *(one for one in of_file() if (one.axis, one.signals) not in met))
+    found, left = likely(dataclasses.replace(now.left, precision=precision), proposed, criteria)
+    return dataclasses.replace(now, left=dataclasses.replace(left, precision=now.left.precision)), found
 
 
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
@@ -152,12 +169,8 @@ class Unnamed:
         return judged(bench, refine_fully(bench, dataclasses.replace(start, beside=self.beside, cost=np.inf)))
 
     @functools.cached_property
-    def dependences(self) -> tuple[Dependence, ...]:
-        return _dependences(self.bench, self.judged, self.bench.vehicle)
-
-    @property
     def answer(self) -> Answer:
-        return Answer(self.judged, self.dependences, False)
+        return Answer(*_dependences(self.bench, self.judged, self.bench.vehicle), False)
 
     def beats(self, model: Model, stats: Reduced) -> bool:
         """`likelier` than several members alone, before it is known what else the logs depend on.
@@ -177,9 +190,9 @@ class Unnamed:
         - `bends`: the file's coefficients may bend within their prior, as beside names they may; a file that
           was refitted itself has been compared with that already. The answer has them as filed all the same.
         """
-        if not self.dependences:
+        if not self.answer.unknown:
             return False
-        return bool(nats_of(self.bench, self.judged, self.dependences, phi, bends) > named)
+        return bool(nats_of(self.bench, self.answer.judged, self.answer.unknown, phi, bends) > named)
 
 
 def nats_of(

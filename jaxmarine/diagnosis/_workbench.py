@@ -35,6 +35,7 @@ from ..fitting import (
     estimated,
     evaluated,
     free_wrench,
+    improbability,
     innovations,
     maximise,
     measured_channels,
@@ -90,6 +91,8 @@ RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
+# Shapes of a wrench fill the programs up to a multiple of this.
+SHAPES = 64
 
 # Arguments of a workbench's constructor that another one takes over from it.
 _OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria")
@@ -769,6 +772,47 @@ class Workbench:
         kept = np.concatenate([np.arange(width), given + np.arange(6 * self.knots + 1)])
         h = np.asarray(found)[: self.count][:, kept[:, None], kept]
         return Reduced(h[:, -1, -1], h[:, :-1, -1], h[:, :-1, :-1])
+
+    def with_shapes(
+        self, model: Model, shapes: Float[np.ndarray, "windows knots 6 shapes"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information of z, then of the sizes of wrenches of given shapes at the knots.
+
+        Beside the model's disturbance, over all windows, each given all before it.
+        """
+        assert model.beside is not None
+        problem, affine = self.along(model)
+        count = shapes.shape[-1]
+        fill = SHAPES * -(-max(count, 1) // SHAPES) - count
+        room = self._of_parts(np.pad(shapes, [(0, 0)] * 3 + [(0, fill)]))
+        group = jnp.asarray(np.arange(len(room)) >= self.fine.count, int)
+        found = innovations(problem, affine, model.beside.force, model.beside.path, group, 1, room)
+        kept = np.concatenate([np.arange(len(model.z)), affine.acts.shape[1] + np.arange(count)])
+        g = np.asarray(found.g)[: self.fine.count].sum(axis=0)
+        return g[kept], np.asarray(found.h)[0][kept[:, None], kept]
+
+    def beside_wrench(
+        self, model: Model, wrench: Float[np.ndarray, "windows knots 6"]
+    ) -> tuple[Model, float]:
+        """The model beside the disturbance that suits the logs where a wrench acts at the knots as well.
+
+        And the nats by which they are less likely beside it where that wrench does not act.
+        """
+        assert model.beside is not None
+        beside, unit = model.beside, self.fine.unit
+        problem, without = self.lines(model, beside)
+        spread, (_, affine) = start_spread(problem.start_precision), self.along(model)
+        every = path_lines(problem, affine, beside.force, beside.path, self._of_parts(wrench))
+        force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
+        now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)
+        before, after = (improbability(spread, without, one, unit) for one in (beside.force, force))
+        return now, 0.5 * (after - before)
+
+    def _of_parts(self, at_knots: Float[np.ndarray, "windows knots *values"]) -> Array:
+        """What is given at the knots of whole windows, for the windows cut up, then zeros."""
+        parts, most = self.fine.parts, len(self.fine.group)
+        cut_up = at_knots.reshape(self.count * parts, self.knots // parts, *at_knots.shape[2:])
+        return jnp.asarray(np.pad(cut_up, [(0, most - len(cut_up))] + [(0, 0)] * (cut_up.ndim - 1)))
 
     def _own_columns(self, model: Model) -> np.ndarray:
         """The model's z and the knots among the columns of a screening."""

@@ -37,6 +37,7 @@ from ._filter import count_of as count_of
 from ._filter import estimated as estimated
 from ._filter import filtered as filtered
 from ._filter import free_wrench as free_wrench
+from ._filter import improbability as improbability
 from ._filter import innovations as innovations
 from ._filter import lines as lines
 from ._filter import maximise as maximise

@@ -327,12 +327,12 @@ class Innovations(eqx.Module):
     """What the windows say of z, each given all before it, and the path that they let one expect.
 
     - `minus_twice`: minus twice the logarithm of the likelihood, but for a constant; `g` its slope by half.
-    - `h`: information of z in each group of windows.
+    - `h`: information of z, and of shapes behind it, in each group of windows.
     """
 
     minus_twice: Float[Array, " windows"]
-    g: Float[Array, "windows z"]
-    h: Float[Array, "groups z z"]
+    g: Float[Array, "windows columns"]
+    h: Float[Array, "groups columns columns"]
     path: Path
 
 
@@ -357,6 +357,11 @@ class Free(eqx.Module):
 
     residual: Float[Array, "steps rows knots*6"]
     end: Float[Array, "13 knots*6"]
+
+    def along(self, shapes: Float[Array, "knots 6 shapes"]) -> tuple[Array, Array]:
+        """Those by the sizes of wrenches of given shapes."""
+        flat = shapes.reshape(-1, shapes.shape[-1])
+        return self.residual @ flat, self.end @ flat
 
 
 class Windowed(eqx.Module):
@@ -424,6 +429,25 @@ class Windowed(eqx.Module):
         - `message`: of the window before; `passed`: this window filtered.
         """
         return _passed_on(passed, *self.begun(message, force, spread), self.end)
+
+    def shaped(self, free: Free, shapes: Float[Array, "knots 6 shapes"]) -> "Windowed":
+        """The sizes of wrenches of given shapes asked for as well, behind what is asked for first."""
+
+        def behind(stays: Array, more: Array) -> Array:
+            return jnp.concatenate([stays[..., :-1], more, stays[..., -1:]], axis=-1)
+
+        by_residual, by_end = free.along(shapes)
+        both = behind(self.line.residual, by_residual), behind(self.end, by_end)
+        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, both)
+
+    def beside(self, free: Free, wrench: Float[Array, "knots 6"]) -> "Windowed":
+        """The window where a wrench acts that its path does not have."""
+        by_residual, by_end = free.along(wrench[..., None])
+        both = (
+            self.line.residual.at[..., -1].add(by_residual[..., 0]),
+            self.end.at[..., -1].add(by_end[..., 0]),
+        )
+        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, both)
 
 
 @compiled
@@ -507,24 +531,52 @@ def innovations(
     path: Path,
     group: Int[Array, " windows"],
     groups: int,
+    shapes: Float[Array, "windows knots 6 shapes"] | None = None,
 ) -> Innovations:
-    """What all windows say of z at z = 0.
+    """What all windows say of z at z = 0, and of the sizes of wrenches of given shapes at 0.
 
     - `group`: of each window; windows of the group with the number `groups` are left out.
+    - `shapes`: of wrenches that are constant over each of so many equal parts of a window [N, N m].
     """
-    given, count, spread = affine.acts.shape[-1], len(path.delta), _spread(problem)
+    count, spread = len(path.delta), _spread(problem)
+    given = affine.acts.shape[-1] + (0 if shapes is None else shapes.shape[-1])
     carry = jnp.zeros((groups + 1, given, given)), nothing_known(force, given + 1)
-    found = []
-    for every, _, index in _in_turn(problem, affine, force, path):
+    found, knots = [], 1 if shapes is None else shapes.shape[1]
+    for every, free, index in _in_turn(problem, affine, force, path, knots):
+        if shapes is not None:
+            every = _shaped(every, free, shapes[np.minimum(index, count - 1)])
         carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
         found.append(kept)
     minus_twice, g, path = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
     return Innovations(minus_twice, g, carry[0][:-1], path)
 
 
-def path_lines(problem: Problem, affine: Affine, force: Disturbance, path: Path) -> Windowed:
-    """All windows as linear systems, of which nothing but the residuals is asked for."""
-    found = [every.alone for every, _, _ in _in_turn(problem, affine, force, path)]
+@compiled
+def _shaped(every: Windowed, free: Free, shapes: Float[Array, "windows knots 6 shapes"]) -> Windowed:
+    return jax.vmap(Windowed.shaped)(every, free, shapes)
+
+
+@compiled
+def _beside(every: Windowed, free: Free, wrench: Float[Array, "windows knots 6"]) -> Windowed:
+    return jax.vmap(Windowed.beside)(every, free, wrench)
+
+
+def path_lines(
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    wrench: Float[Array, "windows knots 6"] | None = None,
+) -> Windowed:
+    """All windows as linear systems, of which nothing but the residuals is asked for.
+
+    - `wrench`: that acts besides, constant over each of so many equal parts of a window [N, N m].
+    """
+    count, found, knots = len(path.delta), [], 1 if wrench is None else wrench.shape[1]
+    for every, free, index in _in_turn(problem, affine, force, path, knots):
+        if wrench is not None:
+            every = _beside(every, free, wrench[np.minimum(index, count - 1)])
+        found.append(every.alone)
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[: len(path.delta)], *found)
 
 
@@ -633,6 +685,17 @@ def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: 
     return jax.value_and_grad(of)(logarithms)
 
 
+def improbability(
+    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+) -> float:
+    """Minus twice the logarithm of the samples' likelihood and a disturbance's prior, but for a constant.
+
+    - `spread`, `unit`: as of `estimated`.
+    """
+    logarithms = jnp.asarray(Logarithms(len(force.axes)).of(force, unit))
+    return float(_improbability(logarithms, jnp.asarray(unit), every, spread, force)[0])
+
+
 def estimated(
     spread: Float[Array, "12"],
     every: Windowed,
@@ -712,14 +775,8 @@ def _likeliest(
     unit: Float[np.ndarray, " axes"],
 ) -> Disturbance | None:
     """The likeliest of some other disturbances, if it is likelier than one."""
-    meaning = Logarithms(len(force.axes))
-
-    def improbability(of: Disturbance) -> float:
-        logarithms = jnp.asarray(meaning.of(of, unit))
-        return float(_improbability(logarithms, jnp.asarray(unit), every, spread, of)[0])
-
-    best, which = min((improbability(one), i) for i, one in enumerate(others))
-    return others[which] if best < improbability(force) else None
+    best, which = min((improbability(spread, every, one, unit), i) for i, one in enumerate(others))
+    return others[which] if best < improbability(spread, every, force, unit) else None
 
 
 class Likelihood(eqx.Module):
