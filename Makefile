@@ -13,6 +13,10 @@ PYTHON := $(shell for python in python3.11 python3; do \
 # Compiled programs are kept between runs, small and quick ones too: those of the tests here, where `make clean`
 # finds them; those of the demo where the command line keeps its own.
 test: export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
+# Threads of the linear algebra that share a small matrix mostly wait for each other, and for those of the other
+# process: what is solved with dense matrices takes many times as long with them.
+test: export OMP_NUM_THREADS ?= 1
+test: export OPENBLAS_NUM_THREADS ?= 1
 # Tests compile more than they run: with these a cold run takes half as long to compile. Where every core has tests
 # of its own, programs cut into parts that are compiled side by side only take longer.
 test: export XLA_FLAGS ?= --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 \

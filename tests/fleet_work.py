@@ -52,7 +52,10 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
-def child(code: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    """A script run to its end; a process of the tests may open no connection, one of its own may."""
+def child(code: str, *words: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
+    """A script run to its end; a process of the tests may open no connection, one of its own may.
+
+    - `more`: what its environment has beside.
+    """
     program = [sys.executable, "-c", code, *map(str, words)]
-    return subprocess.run(program, capture_output=True, text=True, timeout=300, env=environment())
+    return subprocess.run(program, capture_output=True, text=True, timeout=300, env=environment() | more)

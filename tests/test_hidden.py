@@ -34,6 +34,8 @@ from jaxmarine.vehicle_io import packaged_vehicle
 # Of quick tests and of slow ones, which hide fainter things [s]; as long as those of other tests, so that a
 # vehicle's programs are compiled once.
 QUICK, TRAIN, TEST = 60.0, 120.0, 60.0
+# Of a quick test with suspects of its own, whose programs are no others' [s].
+BRIEF = 30.0
 # Factor by which what is hidden raises the error of predictions over 5 s.
 SEVERITY = 3.0
 BOAT, ROV = "cybership2", "tethra"
@@ -72,11 +74,17 @@ def answered(
 
 
 def diagnosed(
-    ship: str, hidden: list, seed: int, suspected: tuple = CATALOGUE, train: float = TRAIN, **options
+    ship: str,
+    hidden: list,
+    seed: int,
+    suspected: tuple = CATALOGUE,
+    train: float = TRAIN,
+    test: float = TEST,
+    **options,
 ) -> tuple[dict, jm.Diagnosis]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        lengths = {"duration_train": train, "duration_test": TEST}
+        lengths = {"duration_train": train, "duration_test": test}
         answer = cases.make_case(folder, ship, hidden, seed, **lengths, **options)
         craft = jm.load_vehicle(folder / "vehicle.toml")
         logs = [jm.read_log(folder / f"{part}.csv", craft) for part in ("train", "test")]
@@ -150,7 +158,8 @@ LIKE_FRICTION = (LinearDamping, QuadraticDamping, ThrusterGain, Deadband, Steady
 
 def test_a_force_that_sticks_and_slips_is_unknown_with_a_signal_that_it_depends_on():
     name, seed = "stick_slip", OUTSIDE["stick_slip"]
-    answer, diagnosis = answered(BOAT, [strange(name, seed)], seed, LIKE_FRICTION, train=QUICK)
+    lengths = {"train": BRIEF, "test": BRIEF}
+    answer, diagnosis = answered(BOAT, [strange(name, seed)], seed, LIKE_FRICTION, **lengths)
     assert whole(answer, diagnosis), (answer, diagnosis["findings"], diagnosis["residual_after"])
 
 

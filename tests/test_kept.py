@@ -2,9 +2,11 @@
 
 import os
 import pickle
+import shutil
 import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -43,29 +45,42 @@ def started(folder: Path) -> tuple[str, int]:
     return numbers, int(count)
 
 
-def test_a_later_start_compiles_nothing_and_computes_the_same(tmp_path):
-    first, compiled_first = started(tmp_path)
-    again, compiled_again = started(tmp_path)
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory) -> tuple[Path, tuple[str, int]]:
+    """The folder that a first start leaves, and what that start says."""
+    folder = tmp_path_factory.mktemp("begun")
+    return folder, started(folder)
+
+
+@pytest.fixture
+def left(begun, tmp_path) -> Iterator[Path]:
+    """That folder, which is put back afterwards: JAX's own cache knows programs by it too."""
+    before = shutil.copytree(begun[0], tmp_path / "before")
+    yield begun[0]
+    shutil.rmtree(begun[0])
+    shutil.copytree(before, begun[0])
+
+
+def test_a_later_start_compiles_nothing_and_computes_the_same(begun, left):
+    (first, compiled_first), (again, compiled_again) = begun[1], started(left)
     # The rotation by 120 degrees about (1, -1, 1): a permutation of the axes with signs, in closed form.
     assert first == again == str([0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0])
     assert (compiled_first, compiled_again) == (1, 0)
 
 
-def test_programs_run_that_the_own_cache_of_jax_knew_before(tmp_path):
+def test_programs_run_that_the_own_cache_of_jax_knew_before(begun, left):
     # Its programs lose their kernels where they are kept a second time.
-    first = started(tmp_path)
-    for file in (tmp_path / "programs").iterdir():
+    for file in (left / "programs").iterdir():
         file.unlink()
-    assert started(tmp_path) == first
-    assert started(tmp_path) == (first[0], 0)
+    assert started(left) == begun[1]
+    assert started(left) == (begun[1][0], 0)
 
 
-def test_what_is_damaged_is_made_anew(tmp_path):
-    first = started(tmp_path)
-    (file,) = (tmp_path / "programs").iterdir()
+def test_what_is_damaged_is_made_anew(begun, left):
+    (file,) = (left / "programs").iterdir()
     file.write_bytes(file.read_bytes()[:100])
-    assert started(tmp_path) == first
-    assert started(tmp_path) == (first[0], 0)
+    assert started(left) == begun[1]
+    assert started(left) == (begun[1][0], 0)
 
 
 class Bomb:

@@ -134,11 +134,12 @@ def by_forward_mode(problem, theta, acts, delta):
 
     def residuals(z, move):
         out = predict(problem, theta + jnp.where(acts > 0, z[None], 0.0), delta + move[None, :])[1]
-        return out.reshape(out.shape[0], -1)
+        out = out.reshape(out.shape[0], -1)
+        return out, out
 
     z, move = jnp.zeros(theta.shape[-1]), jnp.zeros(12)
-    by_z, by_move = jax.jacfwd(residuals, argnums=(0, 1))(z, move)
-    return residuals(z, move), by_move, by_z
+    (by_z, by_move), residual = jax.jacfwd(residuals, argnums=(0, 1), has_aux=True)(z, move)
+    return residual, by_move, by_z
 
 
 # Six axes take a minute to compile, three have all that can go wrong but the coupling of six.

@@ -321,7 +321,7 @@ def test_a_command_that_is_late_by_whole_samples_is_found_from_beyond():
     sensors = NOISE | {"acceleration": 0.1}
     craft = boat(sensors=sensors)
     late = craft.place(Placed(InputDelay(jnp.array(0.3))))
-    log = record(late, steps(240, hold=4), sensors, seed=4)
+    log = record(late, steps(400, hold=4), sensors, seed=4)
     bench = workbench(craft, (log,), (InputDelay,), None)
     stuck = bench.likeliest(bench.with_member(bench.start(), Member(0), np.array([0.34])))
     found = bench.climbed(stuck)
