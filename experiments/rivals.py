@@ -42,7 +42,7 @@ from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
 from jaxmarine.diagnosis._noises import noise_left
 from jaxmarine.diagnosis._prepare import workbench
-from jaxmarine.diagnosis._score import solve
+from jaxmarine.diagnosis._score import Reduced, solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._workbench import SEGMENTS, Workbench
@@ -342,6 +342,7 @@ def _with_term(k: Knots, axis: int, term: LearnedWrench, signals: tuple[str, ...
     push = np.zeros((*k.places.t.shape, 6))
     push[..., axis] = np.asarray(force)
     push = push.reshape(len(push), -1)
+    assert isinstance(k.stats, Reduced)
     bent = np.einsum("wij,wj->wi", k.stats.h[:, :, k.width :], push)
     return dataclasses.replace(k, stats=dataclasses.replace(k.stats, g=k.stats.g + bent))
 

@@ -109,7 +109,7 @@ def diagnose(
         rounds=tuple(weighed(bench, one) for one in way.rounds),
         groups=groups(named),
         misfit_before=2 * (Unnamed(connected) if opened.exchanged else way.rival).start.cost / bench.samples,
-        misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
+        misfit_after=float(now.knots.chi2.sum()) / bench.samples,
         predictions=with_band(bench, model, changed, terms, measured[1]),
         missing_before=missing_wrench(way.rival.judged.knots),
         missing_after=missing,

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from ..fitting import Cut, Kept, refine_windows
 from ..logs import Log
 from ._explanation import Model
+from ._score import AbstractStatistics
 
 Result = TypeVar("Result")
 
@@ -94,6 +95,10 @@ class AbstractKeeper(abc.ABC):
         """What a function says in each place, which stays there; it may be given to others."""
 
     @abc.abstractmethod
+    def of_windows(self, bench: Any, found: Any) -> AbstractStatistics:
+        """The statistics of each window of what was kept: of groups of windows, and these."""
+
+    @abc.abstractmethod
     def refined(
         self, bench: Any, model: Model, z: Array, max_steps: int, rtol: float, damping: float
     ) -> Reached:
@@ -112,6 +117,10 @@ class Here(AbstractKeeper):
 
     def keep(self, bench: Any, of: Callable[..., Any], *given: Any) -> Any:
         return of(bench, *given)
+
+    def of_windows(self, bench: Any, found: Any) -> AbstractStatistics:
+        del bench
+        return found[1]
 
     def refined(
         self, bench: Any, model: Model, z: Array, max_steps: int, rtol: float, damping: float

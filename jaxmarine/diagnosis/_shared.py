@@ -48,6 +48,7 @@ from ._prepare import (
     window_of,
 )
 from ._saturated import saturate
+from ._score import AbstractStatistics, Reduced
 from ._workbench import Workbench, same_log
 
 Result = TypeVar("Result")
@@ -286,6 +287,11 @@ class OnShares(AbstractKeeper):
     def keep(self, bench: Workbench, of: Callable[..., Any], *given: Any) -> Kept:
         return self._desk.keep(_applied, of, *map(_there, (bench, *given)))
 
+    def of_windows(self, bench: Workbench, found: Kept) -> "_Elsewhere":
+        del bench
+        kept = self._desk.keep(_of_windows, found)
+        return _Elsewhere(self._desk, kept, self._desk.ask(_count_of, kept))
+
     def refined(
         self, bench: Workbench, model: Model, z: Array, max_steps: int, rtol: float, damping: float
     ) -> Reached:
@@ -296,6 +302,34 @@ class OnShares(AbstractKeeper):
 
     def remade(self, of: Callable[..., Any], *given: Any) -> "OnShares":
         return OnShares(self._desk, self._desk.keep(_applied, of, self.bench, *given))
+
+
+class _Elsewhere(AbstractStatistics):
+    """Statistics of each window that shares keep.
+
+    - `counts`: windows of each share.
+    """
+
+    def __init__(self, desk: _Desk, kept: Kept, counts: Sequence[int]):
+        self._desk, self._kept, self._counts = desk, kept, counts
+
+    def each(self, of: Callable[..., Result], *given: Any, along: Sequence[Any] = ()) -> list[Result]:
+        return self._desk.ask(_along, self._kept, of, given, each=self._dealt(along))
+
+    def keep(self, of: Callable[..., Reduced], *given: Any, along: Sequence[Any] = ()) -> "_Elsewhere":
+        kept = self._desk.keep(_along, self._kept, of, given, each=self._dealt(along))
+        return _Elsewhere(self._desk, kept, self._counts)
+
+    def lay(self, values: Float[np.ndarray, "windows ..."]) -> Kept:
+        return self._desk.keep(_laid, each=self._dealt([values]))
+
+    def _dealt(self, along: Sequence[Any]) -> list[tuple[Any, ...]]:
+        """What is given along the windows, share by share."""
+        ends = np.cumsum(self._counts)[:-1]
+        columns = [
+            [one] * len(self._counts) if isinstance(one, Kept) else np.split(one, ends) for one in along
+        ]
+        return list(zip(*columns, strict=True)) if columns else [()] * len(self._counts)
 
 
 def _there(given: Any) -> Any:
@@ -332,6 +366,26 @@ def _keep(share: Share, number: int, of: Callable[..., Any], *given: Any) -> Non
 def _applied(share: Share, of: Callable[..., Any], *given: Any) -> Any:
     del share
     return of(*given)
+
+
+def _of_windows(share: Share, found: tuple[Reduced, Reduced]) -> Reduced:
+    del share
+    return found[1]
+
+
+def _count_of(share: Share, stats: Reduced) -> int:
+    del share
+    return len(stats.chi2)
+
+
+def _along(share: Share, stats: Reduced, of: Callable[..., Any], given: Sequence[Any], *along: Any) -> Any:
+    del share
+    return of(stats, *along, *given)
+
+
+def _laid(share: Share, given: Result) -> Result:
+    del share
+    return given
 
 
 def _looked(

@@ -20,7 +20,7 @@ from ._explanation import Beside, Model
 from ._judge import Judged, judged
 from ._knots import Knots
 from ._result import Dropped
-from ._score import Reduced
+from ._score import Reduced, joined
 from ._search import dispersion, mean_dispersion, nats, needed
 from ._settle import pruned
 from ._signals import Signals, samples_at
@@ -237,10 +237,15 @@ def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) ->
     return worst if more[worst] < 0 else None
 
 
+def _of_known(stats: Reduced, n: int) -> Reduced:
+    """Statistics of the first `n` columns, their information summed over windows."""
+    return Reduced(stats.chi2, stats.g[:, :n], stats.h[:, :n, :n].sum(0, keepdims=True))
+
+
 def _scatters_beside(k: Knots, members: list[slice], unknown: tuple[Dependence, ...]) -> list[float]:
     """Dispersion of the scores of members, where their parameters lie in z, once dependences have acted."""
-    after, z, columns = acting(k, unknown).stats, np.arange(k.width), np.eye(k.width)
-    stats = Reduced(after.chi2, after.g[:, : k.width], after.h[:, : k.width, : k.width])
+    z, columns = np.arange(k.width), np.eye(k.width)
+    stats = joined(acting(k, unknown).stats.each(_of_known, k.width))
     out = []
     for where in members:
         mine = (z >= where.start) & (z < where.stop)

@@ -57,7 +57,7 @@ from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
 from ._keeper import HERE, AbstractKeeper, Outline, Part
 from ._saturated import Layout, SaturatedPlant
-from ._score import Reduced
+from ._score import AbstractStatistics, Reduced, joined
 from ._signals import PlacedAt, Places, largest_commands, placed_at, places
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect. With
@@ -786,13 +786,13 @@ class Workbench:
             np.asarray(found.h)[:count],
         )
 
-    def with_knots(self, model: Model) -> Reduced:
+    def with_knots(self, model: Model) -> AbstractStatistics:
         """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window.
 
         Beside a disturbance what is left of the latter, and of the chi-square, once it is filtered out.
         """
         if model.beside is None:
-            return joined(self.keeper.each(self, of_windows, self._screening(model)[0]))
+            return self.keeper.of_windows(self, self._screening(model)[0])
         problem, affine = self.along(model)
         parts = self.fine.parts
         group = jnp.arange(self.room.windows * parts) // parts
@@ -958,19 +958,6 @@ def screened(bench: Workbench, model: Model) -> tuple[Reduced, Reduced]:
 def of_groups(bench: Workbench, found: tuple[Reduced, Reduced]) -> Reduced:
     del bench
     return found[0]
-
-
-def of_windows(bench: Workbench, found: tuple[Reduced, Reduced]) -> Reduced:
-    del bench
-    return found[1]
-
-
-def joined(parts: Sequence[Reduced]) -> Reduced:
-    """Statistics of windows that lie in several places, in the order of the logs."""
-    if len(parts) == 1:
-        return parts[0]
-    each = zip(*((one.chi2, one.g, one.h) for one in parts), strict=True)
-    return Reduced(*(np.concatenate(column) for column in each))
 
 
 def _starts(seen: Int[np.ndarray, " channels"], vehicle: Vehicle) -> int:
