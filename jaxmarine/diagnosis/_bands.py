@@ -23,7 +23,7 @@ def ahead_of(shown: Predictions) -> Float[np.ndarray, " steps"]:
     return shown.times[0, shown.begin :] - shown.times[0, shown.begin]
 
 
-def banded(shown: Predictions, home: Sequence[Float[np.ndarray, "starts steps channels"]]) -> Predictions:
+def banded(shown: Predictions, home: Sequence[Float[np.ndarray, "_ steps channels"]]) -> Predictions:
     """The predictions with their band, as they are where no training log tells it.
 
     - `home`: `errors_of` the training logs at the times `ahead_of` the predictions' starts.

@@ -53,6 +53,9 @@ from ._workbench import Workbench, same_log
 
 Result = TypeVar("Result")
 
+# Logs of a share as a diagnosis reviews them, and what is to be said of them.
+_Reviewed = tuple[tuple[Log, ...], tuple[str, ...]]
+
 _ONE_PROCESS = "diagnose these logs in one process"
 
 
@@ -125,17 +128,16 @@ def opened_over(
     if not tests:
         raise InputError("A diagnosis needs at least one test log.")
     desk = _Desk(shares)
-    looks: list[_Look] = desk.ask(_looked, vehicle, tests, tuple(catalogue))
-    logs = alike([one.log() for look in looks for one in look.logs])
-    names, width = [log.name for log in logs], logs[0].channels.shape[1]
+    there = desk.keep(_reviewed, vehicle)
+    looks: list[_Look] = desk.ask(_looked, there, vehicle, tests, tuple(catalogue))
+    every = alike((*(one.log() for look in looks for one in look.logs), *tests))
+    logs, tests = every[: -len(tests)], every[-len(tests) :]
+    names, width = [log.name for log in logs], every[0].channels.shape[1]
     _allowed(vehicle, looks, names, tests, catalogue, width)
     noise = median_noise(np.concatenate([widened(look.noise, width) for look in looks]), names)
-    tests = alike(tests, width)
-    if tests[0].channels.shape[1] > width:
-        logs = alike((*logs, tests[0]))[:-1]
     _, tests, doubled = named_apart(logs, tests)
     tests, reviews = reviewed(vehicle, tests)
-    bench = _workbench(desk, vehicle, looks, logs, noise, catalogue, window, criteria)
+    bench = _workbench(desk, there, vehicle, looks, logs, noise, catalogue, window, criteria)
     free = unstated(bench)
     if free:
         raise InputError(
@@ -208,6 +210,7 @@ def _supplied(log: Log) -> bool:
 
 def _workbench(
     desk: "_Desk",
+    reviews: Kept,
     vehicle: Vehicle,
     looks: Sequence[_Look],
     logs: Sequence[Log],
@@ -218,7 +221,7 @@ def _workbench(
 ) -> Workbench:
     """`_prepare.workbench` of windows that lie on shares, one workbench on each."""
     dt, length = float(np.median([log.dt for log in logs])), window_of(logs, window)
-    cuts = desk.keep(_cut, vehicle, noise, length, dt)
+    cuts = desk.keep(_cut, reviews, vehicle, noise, length, dt)
     parts = desk.ask(_cut_up, cuts)
     windows = [len(part.log) for part in parts]
     enough(logs, sum(windows), length)
@@ -388,10 +391,19 @@ def _laid(share: Share, given: Result) -> Result:
     return given
 
 
+def _reviewed(share: Share, vehicle: Vehicle) -> _Reviewed:
+    return reviewed(vehicle, alike(share.given))
+
+
 def _looked(
-    share: Share, vehicle: Vehicle, tests: Sequence[Log], catalogue: Sequence[type[AbstractEffect]]
+    share: Share,
+    found: _Reviewed,
+    vehicle: Vehicle,
+    tests: Sequence[Log],
+    catalogue: Sequence[type[AbstractEffect]],
 ) -> _Look:
-    logs = alike(share.logs)
+    logs, notes = found
+    given = alike((*share.given, *tests))[: len(logs)]
     channels = np.concatenate([log.channels for log in logs])
     return _Look(
         logs=tuple(map(_outlined, logs)),
@@ -399,13 +411,11 @@ def _looked(
         low=np.fmin.reduce(channels),
         high=np.fmax.reduce(channels),
         fastest=fastest(logs),
-        notes=share.notes,
+        notes=notes,
         answered=tuple(log.name for log in logs if answers(log)),
-        twins=tuple(
-            test.name for test in tests for log in logs if same_log(*alike([log, test], len(channels[0])))
-        ),
+        twins=tuple(test.name for test in tests for log in given if same_log(log, test)),
         supplied=all(map(_supplied, logs)),
-        wrong=tuple(one.told for one in misconnected(vehicle, logs) if suspected(one, catalogue)),
+        wrong=tuple(one.told for one in misconnected(vehicle, given) if suspected(one, catalogue)),
     )
 
 
@@ -423,9 +433,15 @@ def _outlined(log: Log) -> _Outlined:
 
 
 def _cut(
-    share: Share, vehicle: Vehicle, noise: Float[np.ndarray, " channels"], length: float, dt: float
+    share: Share,
+    found: _Reviewed,
+    vehicle: Vehicle,
+    noise: Float[np.ndarray, " channels"],
+    length: float,
+    dt: float,
 ) -> Cut:
-    return cut(vehicle, share.logs, noise, length, dt=dt)
+    del share
+    return cut(vehicle, found[0], noise, length, dt=dt)
 
 
 def _cut_up(share: Share, data: Cut) -> Outline:

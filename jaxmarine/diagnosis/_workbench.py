@@ -169,8 +169,8 @@ class Workbench:
         self.count = len(log)
         self.samples = int(outline.seen.sum())
         self.freedom = float(max(self.samples - self.count * _starts(outline.seen, vehicle), 1))
-        self._group = _grouped(log, self.part.windows)
-        self.group_windows = np.flatnonzero(np.diff(self._group, prepend=-1))
+        group = _grouped(log, self.part.windows)
+        self.group_windows = np.flatnonzero(np.diff(group, prepend=-1))
         self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
         # Two samples or more to each: what pushes behind a window's last one shows nowhere.
         parts = parts_of(steps, self.part.dt)
@@ -190,7 +190,7 @@ class Workbench:
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
-        self._groups[: self.count] = self._group
+        self._groups[: self.count] = group
         records, windows = self.room.filled(data.records, data.windows)
         self._problem = Problem(
             SaturatedPlant(vehicle, families, jnp.ones((SEGMENTS, len(vehicle.placed)))),
@@ -629,7 +629,8 @@ class Workbench:
 
     def on(self, logs: Sequence[Log]) -> "Workbench":
         """The same with other logs, whose programs are those of its own where there is room."""
-        return self._like(data=cut(self.vehicle, logs, self.noise, self.data.length), room=self.room)
+        data = cut(self.vehicle, logs, self.noise, self.data.length)
+        return self._like(data=data, part=None, room=self.room)
 
     def reweighed(self, noise: Float[np.ndarray, " channels"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""

@@ -117,7 +117,7 @@ def _errors_at_home(
     changed: bool,
     terms: Sequence[Placed],
     ahead: Float[np.ndarray, " steps"],
-) -> list[Float[np.ndarray, "starts steps channels"]]:
+) -> list[Float[np.ndarray, "_ steps channels"]]:
     """Those of predictions of the training logs that lie here, at times [s] after the starts."""
     home = []
     for log in bench.data.logs:

@@ -75,11 +75,12 @@ class Share:
 
     Its methods are the questions of a solver; what they return is all that leaves the place where it lies.
 
+    - `given`: the logs as they were given; `logs`: these, `reviewed`.
     - `kept`: what questions of others (`answer`) keep here, by the numbers of `Kept`.
     """
 
     def __init__(self, vehicle: Vehicle, logs: Sequence[Log]):
-        self.vehicle = vehicle
+        self.vehicle, self.given = vehicle, tuple(logs)
         self.logs, self.notes = reviewed(vehicle, logs)
         self.kept: dict[int, Any] = {}
 
