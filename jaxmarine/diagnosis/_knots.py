@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from ._explanation import Model
 from ._result import MissingWrench
-from ._score import AbstractStatistics, Reduced, joined, solve, totals
+from ._score import AbstractStatistics, Reduced, joined, rows, solve, totals
 from ._signals import Places
 from ._workbench import Workbench
 
@@ -47,7 +47,7 @@ class Knots:
     @property
     def chi2(self) -> Float[np.ndarray, " windows"]:
         """Of each window."""
-        return np.concatenate(self.stats.each(_chi2))
+        return rows(self.stats.each(_chi2))
 
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and information, over all windows, of z and of wrenches with these values at the knots."""
@@ -114,7 +114,7 @@ def missing_wrench(k: Knots) -> MissingWrench:
     """
     count = k.places.t.shape[1]
     parts = k.stats.each(_missing, k.width, count, np.flatnonzero(k.free))
-    wrench, std = (np.concatenate(column) for column in zip(*parts, strict=True))
+    wrench, std = map(rows, zip(*parts, strict=True))
     return MissingWrench(
         log=np.repeat(k.places.log, count),
         t=k.places.t.ravel(),

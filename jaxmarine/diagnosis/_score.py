@@ -67,10 +67,13 @@ class Reduced(AbstractStatistics):
 
 def joined(parts: Sequence[Reduced]) -> Reduced:
     """Statistics of windows that lie in several places, in the order of the logs."""
-    if len(parts) == 1:
-        return parts[0]
     each = zip(*((one.chi2, one.g, one.h) for one in parts), strict=True)
-    return Reduced(*(np.concatenate(column) for column in each))
+    return Reduced(*map(rows, each))
+
+
+def rows(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of windows that lie in several places, in the order of the logs."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def totals(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:

@@ -17,7 +17,7 @@ from scipy import stats
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._criteria import DEFAULT, Criteria
 from ._knots import Knots, missing_wrench, on_axis
-from ._score import Reduced, blocks, solve, step_with, t_value
+from ._score import Reduced, blocks, rows, solve, step_with, t_value
 from ._signals import Places, Signals
 
 # Standard errors over windows within which two sets of signals are not told apart.
@@ -188,7 +188,7 @@ class _Ledger:
     ) -> Float[np.ndarray, "some windows"]:
         """Change of each window's chi-square by some wrenches on an axis, each beside those found already."""
         along = (self._laid, np.moveaxis(wrenches, 0, 1))
-        return np.concatenate(self.k.stats.each(_change, self.k.width, axis, along=along)).T
+        return rows(self.k.stats.each(_change, self.k.width, axis, along=along)).T
 
     def _predicted(self, axis: int, values: np.ndarray):
         """What regressors predict of the missing wrench on left-out windows, pulled to zero as suits them.

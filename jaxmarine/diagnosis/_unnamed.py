@@ -20,7 +20,7 @@ from ._explanation import Beside, Model
 from ._judge import Judged, judged
 from ._knots import Knots
 from ._result import Dropped
-from ._score import Reduced, joined
+from ._score import Reduced, rows, totals
 from ._search import dispersion, mean_dispersion, nats, needed
 from ._settle import pruned
 from ._signals import Signals, samples_at
@@ -237,17 +237,18 @@ def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) ->
     return worst if more[worst] < 0 else None
 
 
-def _of_known(stats: Reduced, n: int) -> Reduced:
-    """Statistics of the first `n` columns, their information summed over windows."""
-    return Reduced(stats.chi2, stats.g[:, :n], stats.h[:, :n, :n].sum(0, keepdims=True))
+def _of_known(stats: Reduced, n: int) -> tuple[Float[np.ndarray, "windows z"], Float[np.ndarray, "z z"]]:
+    """Gradient of the first `n` columns in each window, and their information in all."""
+    return stats.g[:, :n], stats.h[:, :n, :n].sum(0)
 
 
 def _scatters_beside(k: Knots, members: list[slice], unknown: tuple[Dependence, ...]) -> list[float]:
     """Dispersion of the scores of members, where their parameters lie in z, once dependences have acted."""
     z, columns = np.arange(k.width), np.eye(k.width)
-    stats = joined(acting(k, unknown).stats.each(_of_known, k.width))
+    parts = acting(k, unknown).stats.each(_of_known, k.width)
+    g, (h,) = rows([own for own, _ in parts]), totals([part[1:] for part in parts])
     out = []
     for where in members:
         mine = (z >= where.start) & (z < where.stop)
-        out.append(mean_dispersion(stats, columns[:, mine], columns[:, ~mine], k.precision[~mine], 1.0))
+        out.append(mean_dispersion(g, h, columns[:, mine], columns[:, ~mine], k.precision[~mine], 1.0))
     return out

@@ -513,7 +513,7 @@ class Workbench:
         ]
         if not stairs:
             return model
-        dt = self.part.dt
+        dt = float(np.median([log.dt for log in self.data.logs]))
         own = np.unique(self.vehicle.thrusters.delay)
         filed = float(own[0]) if len(own) == 1 else 0.0
         spacing = np.concatenate([np.diff(log.t) for log in self.data.logs])

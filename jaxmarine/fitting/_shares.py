@@ -1,5 +1,7 @@
 """A fit of logs that lie in several places: each keeps its own, and what the solver asks for is summed there.
 
+A diagnosis asks questions of its own (`Share.answer`), and steps by the same loop (`refine_shares`).
+
 What travels is the step of the parameters one way, and the gradient, the information and a few sums of each
 share the other; at the end the gradient and information of every window, by which errors are judged. The
 solver is that of one process, its loop written out, and comes to the same within rounding.
