@@ -43,7 +43,7 @@ def with_noise(bench: Workbench, noise: Float[np.ndarray, " channels"]) -> Workb
 
 def nats(bench: Workbench, model: Model) -> float:
     """Logarithm of the density of each measured number [nats], in SI units, all before it known."""
-    measured = (np.asarray(bench.data.windows.weight) > 0).sum(axis=(0, 1))
+    measured = (np.asarray(bench.cut.windows.weight) > 0).sum(axis=(0, 1))
     own = np.log(bench.noise[measured > 0]) @ measured[measured > 0] / measured.sum()
     return log_score(bench, model, weathers=1) - float(own)
 

@@ -42,7 +42,7 @@ from jaxmarine.diagnosis._knots import Knots, knots
 from jaxmarine.diagnosis._learn import _inputs, learn
 from jaxmarine.diagnosis._noises import noise_left
 from jaxmarine.diagnosis._prepare import workbench
-from jaxmarine.diagnosis._score import solve
+from jaxmarine.diagnosis._score import Reduced, solve
 from jaxmarine.diagnosis._search import ROUGH, STEPS, needed, penalty
 from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._workbench import SEGMENTS, Workbench
@@ -171,7 +171,7 @@ def library(bench: Workbench) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         weight=jnp.ones((1, len(log.t), 6)),
         instant=bool(np.isfinite(bench.noise[12:][free]).all()),
     )
-    problem = dataclasses.replace(bench.problem(()), records=bench.data.records, windows=bench.data.windows)
+    problem = dataclasses.replace(bench.problem(()), records=bench.cut.records, windows=bench.cut.windows)
     eye, neutral = jnp.eye(layout.size), jnp.asarray(layout.neutral)
     task = OneStep(
         problem, samples, neutral, eye, jnp.ones(layout.size), 1, tuple(np.flatnonzero(free).tolist())
@@ -252,6 +252,7 @@ def _plain(bench: Workbench, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and information of the catalogue's parameters, nothing eliminated."""
     size = bench.layout.size
     affine = Affine(jnp.asarray(bench.theta(model)), jnp.eye(size), jnp.ones((SEGMENTS, size)))
+    assert isinstance(model.delta, jax.Array)
     stats = compiled(linearise)(bench.problem(model.members), affine, model.delta)
     g, h = (np.asarray(a)[: bench.count].sum(axis=0) for a in (stats.g_z, stats.h_zz))
     return g, h
@@ -341,6 +342,7 @@ def _with_term(k: Knots, axis: int, term: LearnedWrench, signals: tuple[str, ...
     push = np.zeros((*k.places.t.shape, 6))
     push[..., axis] = np.asarray(force)
     push = push.reshape(len(push), -1)
+    assert isinstance(k.stats, Reduced)
     bent = np.einsum("wij,wj->wi", k.stats.h[:, :, k.width :], push)
     return dataclasses.replace(k, stats=dataclasses.replace(k.stats, g=k.stats.g + bent))
 

@@ -10,7 +10,7 @@ from jaxmarine._errors import InputError
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis._gain import Candidate, gain
 from jaxmarine.diagnosis._gain import predictions as predicted
-from jaxmarine.diagnosis._prepare import _predictable, workbench
+from jaxmarine.diagnosis._prepare import predictable, workbench
 from jaxmarine.diagnosis._result import Gain, Predictions
 from jaxmarine.effects import ThrusterGain
 from jaxmarine.fitting import Room, cut, noise_of
@@ -179,9 +179,9 @@ def test_test_logs_that_cannot_be_predicted_are_left_out_where_others_serve():
     good, short = (dataclasses.replace(log.between(0.0, end), name=f"{end:g}.csv") for end in (30.0, 8.0))
     hit = Rejected("hit.csv", 6.0, 25.0, "collision")
     spoilt = dataclasses.replace(good, name="hit.csv", rejected=(hit,))
-    tests, notes = _predictable(bench, (short, good, spoilt))
+    tests, notes = predictable(bench, (short, good, spoilt))
     assert [test.name for test in tests] == ["30.csv"]
     assert [note.split(":")[1].strip() for note in notes] == ["8.csv", "hit.csv"]
     assert "is shorter than a prediction with its run-in (9 s)" in notes[0]
     with pytest.raises(InputError, match=r"8\.csv: is shorter than a prediction"):
-        _predictable(bench, (short, spoilt))
+        predictable(bench, (short, spoilt))

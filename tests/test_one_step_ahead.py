@@ -27,7 +27,7 @@ def test_a_density_is_that_in_si_units(monkeypatch):
     in_noise = scipy.stats.norm.logpdf((error * weight)[used]).mean()
     monkeypatch.setattr(one_step_ahead, "log_score", lambda bench, model, weathers: in_noise)
     bench = Mock(spec=Workbench, noise=noise)
-    bench.data = SimpleNamespace(windows=SimpleNamespace(weight=jnp.asarray(weight)))
+    bench.cut = SimpleNamespace(windows=SimpleNamespace(weight=jnp.asarray(weight)))
     expected = scipy.stats.norm.logpdf(error, scale=noise)[used].mean()
     assert nats(bench, None) == pytest.approx(expected, abs=1e-12)
 

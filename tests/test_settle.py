@@ -15,6 +15,7 @@ from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
+from jaxmarine.diagnosis._keeper import HERE, Part
 from jaxmarine.diagnosis._knots import Knots
 from jaxmarine.diagnosis._result import Dropped, Gain, Predictions
 from jaxmarine.diagnosis._score import Reduced
@@ -24,7 +25,7 @@ from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
 from jaxmarine.diagnosis._workbench import BEGUN, Sample, Workbench
 from jaxmarine.effects import LinearDamping
-from jaxmarine.fitting import Segments
+from jaxmarine.fitting import Room, Segments
 from jaxmarine.logs import Log
 from jaxmarine.networks import learned_wrench
 from tests.boats import boat
@@ -79,6 +80,7 @@ class Bench(Workbench):
         self.group_starts = ROWS * np.arange(float(WINDOWS))
         self.y = sum((v * self.column(m) for m, v in truth.items()), np.zeros((WINDOWS, ROWS)))
         self.vehicle, self._own = boat(), Segments((np.zeros(SAMPLES, int),), np.zeros((1, 0)))
+        self.part, self.keeper, self.room = Part(0, (), 0, WINDOWS, 1.0), HERE, Room(1, SAMPLES, WINDOWS)
         self.unsound: set[int] = set()
         self.criteria = Criteria()
         self.far = 0.0

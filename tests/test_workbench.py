@@ -221,7 +221,7 @@ def test_the_last_knot_of_a_slow_log_shows():
 @pytest.mark.parametrize("counts", [(75,), (600,), (601,), (9000,), (700, 3, 900), (2,) * 700])
 def test_groups_are_few_and_of_one_log(counts):
     log = np.repeat(np.arange(len(counts)), counts)
-    group = _workbench._grouped(log)
+    group = _workbench._grouped(log, len(log))
     assert set(np.diff(group)) <= {0, 1} and group[0] == 0
     assert group[-1] < _workbench.GROUPS + len(counts)
     if len(log) <= _workbench.GROUPS:

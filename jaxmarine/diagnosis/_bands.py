@@ -18,12 +18,19 @@ from ._result import BANDS, Predictions
 SMOOTH = 0.5
 
 
-def banded(shown: Predictions, home: Sequence[Predictions]) -> Predictions:
-    """The predictions with their band, by those of the training logs; as they are where there are none."""
+def ahead_of(shown: Predictions) -> Float[np.ndarray, " steps"]:
+    """Times after a start at which there are predictions [s]."""
+    return shown.times[0, shown.begin :] - shown.times[0, shown.begin]
+
+
+def banded(shown: Predictions, home: Sequence[Float[np.ndarray, "_ steps channels"]]) -> Predictions:
+    """The predictions with their band, as they are where no training log tells it.
+
+    - `home`: `errors_of` the training logs at the times `ahead_of` the predictions' starts.
+    """
     if not home:
         return shown
-    ahead = shown.times[0, shown.begin :] - shown.times[0, shown.begin]
-    off = np.concatenate([_errors(one, ahead) for one in home])
+    ahead, off = ahead_of(shown), np.concatenate(home)
     # Of one more than were seen: the next is as likely to lie in each gap between those that were.
     share = min(1.0, BANDS * (1 + 1 / len(off)))
     half = np.full((len(ahead), off.shape[2]), np.nan)
@@ -37,7 +44,7 @@ def banded(shown: Predictions, home: Sequence[Predictions]) -> Predictions:
     return dataclasses.replace(shown, band=half)
 
 
-def _errors(
+def errors_of(
     one: Predictions, ahead: Float[np.ndarray, " steps"]
 ) -> Float[np.ndarray, "starts steps channels"]:
     """Absolute errors at times [s] after the starts, NaN where nothing was measured."""

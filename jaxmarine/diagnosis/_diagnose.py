@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from .._precision import need_double
 from .._progress import AGAIN, LEARNING, PREDICTING, SETTLING, Progress, silent
 from ..effects import CATALOGUE, AbstractEffect
-from ..fitting import disagreement, tell_missed
+from ..fitting import AbstractShares, disagreement, tell_missed
 from ..logs import Log, merged, together
 from ..networks import LearnedWrench
 from ..vehicle import Placed, Vehicle
@@ -31,6 +31,7 @@ from ._prepare import Opened, fitted, opened_with, sharpened
 from ._result import Alternative, Diagnosis, Dropped, Finding, Gain, MissingWrench, Predictions, Verdict
 from ._search import Found, Round, search
 from ._settle import settled
+from ._shared import opened_over
 from ._supplied import unsupplied
 from ._unnamed import Answer, Unnamed, nats_of, with_unknown
 from ._workbench import Workbench
@@ -52,7 +53,7 @@ CERTAIN = 1e6
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     vehicle: Vehicle,
-    train: Sequence[Log] | Log,
+    train: Sequence[Log] | Log | AbstractShares,
     test: Sequence[Log] | Log,
     catalogue: Sequence[type[AbstractEffect]] = CATALOGUE,
     window: float | None = None,
@@ -61,8 +62,10 @@ def diagnose(
 ) -> Diagnosis:
     """Shows what a vehicle gets wrong on its logs, names the cause, extends it and measures the gain.
 
-    - `train`: logs in order of time; `test`: the logs on which the gain is measured. They name nothing, but
-      names that buy nothing on them are dropped.
+    - `train`: logs in order of time; or shares of them that lie elsewhere (`jaxmarine.fleets.shared`), of
+      which it is not told what they determine.
+    - `test`: the logs on which the gain is measured. They name nothing, but names that buy nothing on them
+      are dropped.
     - `catalogue`: the effects that are suspected; `(*CATALOGUE, YourEffect)` adds one of your own.
     - `window`: length of the windows [s]; default 4 s, less for short logs, more for slow sampling.
     - `progress`: called with a few words at each stage; what they say of the share that is done, and of the
@@ -75,7 +78,9 @@ def diagnose(
     `ValueError` in single precision.
     """
     need_double("A diagnosis")
-    opened = opened_with(vehicle, train, test, catalogue, window, progress, criteria)
+    how = test, catalogue, window, progress, criteria
+    shared = isinstance(train, AbstractShares)
+    opened = opened_over(vehicle, train, *how) if shared else opened_with(vehicle, train, *how)
     way = _answered(opened, progress)
     bench, answer, model, now = way.bench, way.answer, way.answer.model, way.answer.judged
     # Where nothing is found the file is what is measured, even if its coefficients were refitted.
@@ -104,7 +109,7 @@ def diagnose(
         rounds=tuple(weighed(bench, one) for one in way.rounds),
         groups=groups(named),
         misfit_before=2 * (Unnamed(connected) if opened.exchanged else way.rival).start.cost / bench.samples,
-        misfit_after=float(now.knots.stats.chi2.sum()) / bench.samples,
+        misfit_after=float(now.knots.chi2.sum()) / bench.samples,
         predictions=with_band(bench, model, changed, terms, measured[1]),
         missing_before=missing_wrench(way.rival.judged.knots),
         missing_after=missing,
@@ -114,7 +119,7 @@ def diagnose(
         tests=tuple(log.name for log in tests),
         disturbance=None if now.disturbance is None else known(now.disturbance),
         doubted=_doubt(bench, model, named),
-        contradicted=None if now.white else disagreement(extended, logs, bench.noise),
+        contradicted=None if now.white or shared else disagreement(extended, logs, bench.noise),
         rejected=tuple(dict.fromkeys(one for log in (*logs, *tests) for one in log.rejected)),
         dropped=_left_out((*way.lost, *answer.dropped), named),
         missed=missed is not None,

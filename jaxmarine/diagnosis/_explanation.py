@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..fitting import LEAST_DAMPING, Disturbance, Path
+from ..fitting import LEAST_DAMPING, Disturbance, Kept, Path
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Model:
     """Members, and where the last refinement left all numbers.
 
     - `z`: base coefficients' changes, then each member's parameters minus their neutral values.
-    - `delta`: initial states of the windows; `cost`: half the chi-square with the priors.
+    - `delta`: initial states of the windows, where these lie; `cost`: half the chi-square with the priors.
     - `promised`: the cost that one more step of it would reach by its last linearisation, with `damping`.
     - `weight`: of the prior on the file's coefficients, by how much the windows' scores scatter more than
       noise of the stated size would make them: that much more is left to bend to, and means nothing.
@@ -65,7 +65,7 @@ class Model:
 
     members: tuple[Member, ...]
     z: Float[np.ndarray, " z"]
-    delta: Array
+    delta: Array | Kept
     cost: float
     promised: float = np.inf
     damping: float = LEAST_DAMPING

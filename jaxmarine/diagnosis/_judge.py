@@ -49,6 +49,6 @@ def judged(bench: Workbench, model: Model) -> Judged:
     missing = knots(bench, plain)
     size = 1.0 + DEVIATIONS * np.sqrt(2.0 / bench.freedom) + ROUNDING
     alike = plain_phi < bench.criteria.scatter
-    quiet = missing.stats.chi2.sum() / bench.freedom < size and alike and not bench.raised
+    quiet = missing.chi2.sum() / bench.freedom < size and alike and not bench.raised
     left = missing if plain is model else knots(bench, model)
     return Judged(model, stats, phi, left, plain_phi, missing, bool(quiet))

@@ -8,12 +8,12 @@ swings with a period. No hypothesis needs a simulation of its own.
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from ..fitting import Disturbance
 from ._explanation import Model
 from ._result import MissingWrench
-from ._score import Reduced, solve
+from ._score import AbstractStatistics, Reduced, joined, rows, solve, totals
 from ._signals import Places
 from ._workbench import Workbench
 
@@ -39,7 +39,7 @@ class Knots:
     - `lost`: nats by which the logs are less likely amid these, where nothing is missing, than at best.
     """
 
-    stats: Reduced
+    stats: AbstractStatistics
     width: int
     precision: np.ndarray
     offset: np.ndarray
@@ -47,16 +47,15 @@ class Knots:
     places: Places
     lost: float = dataclasses.field(default=0.0, kw_only=True)
 
+    @property
+    def chi2(self) -> Float[np.ndarray, " windows"]:
+        """Of each window."""
+        return rows(self.stats.each(_chi2))
+
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and information, over all windows, of z and of wrenches with these values at the knots."""
-        n = self.width
-        flat = values.reshape(len(values), values.shape[1] * 6, values.shape[-1])
-        g, h = self.stats.g, self.stats.h
-        h_zk = np.tensordot(np.swapaxes(h[:, :n, n:], 1, 2), flat, ((0, 1), (0, 1)))
-        h_kk = np.tensordot(flat, h[:, n:, n:] @ flat, ((0, 1), (0, 1)))
-        g_k = np.tensordot(g[:, n:], flat, 2)
-        h = np.block([[h[:, :n, :n].sum(0), h_zk], [h_zk.T, h_kk]])
-        return np.concatenate([g[:, :n].sum(0), g_k]), h
+        g, h = totals(self.stats.each(_summed, self.width, along=(values,)))
+        return g, h
 
     def where(self, wrench: Float[np.ndarray, "windows knots 6"]) -> "Knots":
         """Amid the disturbance that suits the logs where a wrench acts, which had stood in for it, if any."""
@@ -73,11 +72,35 @@ class Knots:
         g[:n] += self.precision * self.offset
         step = -solve(h, g)
         push = (values @ step[n:]).reshape(len(values), -1)
-        moved = np.concatenate([np.broadcast_to(step[:n], (len(values), n)), push], axis=1)
-        bent = (self.stats.h @ moved[..., None])[..., 0]
-        chi2 = self.stats.chi2 + ((2 * self.stats.g + bent) * moved).sum(axis=1)
-        after = Reduced(chi2, self.stats.g + bent, self.stats.h)
+        after = self.stats.keep(_pushed, step[:n], along=(push,))
         return dataclasses.replace(self, stats=after, offset=self.offset + step[:n])
+
+
+def _chi2(stats: Reduced) -> Float[np.ndarray, " windows"]:
+    return stats.chi2
+
+
+def _summed(
+    stats: Reduced, values: Float[np.ndarray, "windows knots 6 features"], n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Knots.summed` over the windows of one place, of which z is the first `n` columns."""
+    flat = values.reshape(len(values), values.shape[1] * 6, values.shape[-1])
+    g, h = stats.g, stats.h
+    h_zk = np.tensordot(np.swapaxes(h[:, :n, n:], 1, 2), flat, ((0, 1), (0, 1)))
+    h_kk = np.tensordot(flat, h[:, n:, n:] @ flat, ((0, 1), (0, 1)))
+    g_k = np.tensordot(g[:, n:], flat, 2)
+    h = np.block([[h[:, :n, :n].sum(0), h_zk], [h_zk.T, h_kk]])
+    return np.concatenate([g[:, :n].sum(0), g_k]), h
+
+
+def _pushed(
+    stats: Reduced, push: Float[np.ndarray, "windows knotted"], step: Float[np.ndarray, " z"]
+) -> Reduced:
+    """The statistics after a step of z and wrenches at the knots."""
+    moved = np.concatenate([np.broadcast_to(step, (len(push), len(step))), push], axis=1)
+    bent = (stats.h @ moved[..., None])[..., 0]
+    chi2 = stats.chi2 + ((2 * stats.g + bent) * moved).sum(axis=1)
+    return Reduced(chi2, stats.g + bent, stats.h)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,19 +143,9 @@ def missing_wrench(k: Knots) -> MissingWrench:
     A weak pull to zero (by a fiftieth of the information) keeps neighbouring knots that the window
     cannot tell apart from running against each other.
     """
-    n = k.width
-    windows, count = k.places.t.shape
-    wrench = np.full((windows, count, 6), np.nan)
-    std = np.full((windows, count, 6), np.nan)
-    free = np.flatnonzero(k.free)
-    index = (np.arange(count)[:, None] * 6 + free).ravel()
-    for w in range(windows):
-        h = k.stats.h[w][n:, n:][np.ix_(index, index)]
-        g = k.stats.g[w][n:][index]
-        scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(scale, scale)
-        wrench[w][:, free] = (-cov @ g).reshape(count, -1)
-        std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
+    count = k.places.t.shape[1]
+    parts = k.stats.each(_missing, k.width, count, np.flatnonzero(k.free))
+    wrench, std = map(rows, zip(*parts, strict=True))
     return MissingWrench(
         log=np.repeat(k.places.log, count),
         t=k.places.t.ravel(),
@@ -140,6 +153,29 @@ def missing_wrench(k: Knots) -> MissingWrench:
         std=std.reshape(-1, 6),
         velocity=k.places.velocity.reshape(-1, 6),
     )
+
+
+def _missing(
+    stats: Reduced, n: int, count: int, free: Int[np.ndarray, " axes"]
+) -> tuple[Float[np.ndarray, "windows knots 6"], Float[np.ndarray, "windows knots 6"]]:
+    """`missing_wrench` of the windows of one place and its standard deviation, `count` knots in each."""
+    windows = len(stats.g)
+    wrench = np.full((windows, count, 6), np.nan)
+    std = np.full((windows, count, 6), np.nan)
+    index = (np.arange(count)[:, None] * 6 + free).ravel()
+    for w in range(windows):
+        h = stats.h[w][n:, n:][np.ix_(index, index)]
+        g = stats.g[w][n:][index]
+        scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+        cov = np.linalg.inv(h / np.outer(scale, scale) + 0.02 * np.eye(len(h))) / np.outer(scale, scale)
+        wrench[w][:, free] = (-cov @ g).reshape(count, -1)
+        std[w][:, free] = np.sqrt(np.diag(cov)).reshape(count, -1)
+    return wrench, std
+
+
+def _some(stats: Reduced, which: Bool[np.ndarray, " windows"]) -> Reduced:
+    """The statistics of some windows."""
+    return Reduced(stats.chi2[which], stats.g[which], stats.h[which])
 
 
 def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
@@ -156,18 +192,18 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
     knot = float(np.median(np.diff(t, axis=1)))
     slowest = min(2.0 / span, 1.0 / (8 * knot))
     frequencies = np.arange(slowest, 1.0 / (4 * knot), 0.3 / span)
-    n, count = k.width, t.shape[1]
-    h_z = k.stats.h[here, :n, :n].sum(0) + np.diag(k.precision)
-    g_z = k.stats.g[here, :n].sum(0) + k.precision * k.offset
+    n, count, stats = k.width, t.shape[1], joined(k.stats.each(_some, along=(here,)))
+    h_z = stats.h[:, :n, :n].sum(0) + np.diag(k.precision)
+    g_z = stats.g[:, :n].sum(0) + k.precision * k.offset
     inverse = solve(h_z, np.eye(n))
     pulled = inverse @ g_z
     # Of forces to the north and to the east at each knot.
     axes = np.swapaxes(k.places.rotation[here], 2, 3)[..., :2]
-    by_axis = k.stats.g[here, n:].reshape(len(t), count, 6)[..., :3]
+    by_axis = np.ascontiguousarray(stats.g[:, n:]).reshape(len(t), count, 6)[..., :3]
     g = np.einsum("wkj,wkja->wka", by_axis, axes)
-    by_axis = k.stats.h[here, :n, n:].reshape(len(t), n, count, 6)[..., :3]
+    by_axis = np.ascontiguousarray(stats.h[:, :n, n:]).reshape(len(t), n, count, 6)[..., :3]
     cross = np.einsum("wnkj,wkja->wnka", by_axis, axes)
-    by_axis = k.stats.h[here, n:, n:].reshape(len(t), count, 6, count, 6)[:, :, :3, :, :3]
+    by_axis = np.ascontiguousarray(stats.h[:, n:, n:]).reshape(len(t), count, 6, count, 6)[:, :, :3, :, :3]
     own = np.einsum("wkilj,wkia,wljb->wkalb", by_axis, axes, axes, optimize=True)
     best = (-np.inf, {})
     for frequency in frequencies:

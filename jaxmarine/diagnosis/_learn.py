@@ -11,6 +11,7 @@ from .._types import ATTITUDE, POSITION
 from ..fitting import fit_samples
 from ..networks import LearnedWrench, learned_wrench
 from ._knots import Knots, missing_wrench
+from ._score import Reduced, joined
 from ._unknown import Dependence, resolved
 
 HIDDEN = 12
@@ -49,14 +50,19 @@ def _spread(term: LearnedWrench, key) -> LearnedWrench:
 
 def _quadratic(k: Knots) -> tuple[np.ndarray, np.ndarray]:
     """Square roots A_w and vectors b_w with chi-square change |A_w c + b_w|² for a wrench c at the knots."""
-    n = k.width
-    h, g = k.stats.h[:, n:, n:], k.stats.g[:, n:]
+    own = joined(k.stats.each(_of_knots, k.width))
+    h, g = own.h, own.g
     eigen, vectors = np.linalg.eigh(h)
     # Directions that a window does not see carry no residual.
     root = np.sqrt(np.maximum(eigen, 1e-9 * np.maximum(eigen[:, -1:], 1e-6 * eigen.max())))
     a = np.swapaxes(vectors * root[:, None, :], 1, 2)
     b = np.einsum("wkr,wk->wr", vectors, g) / root
     return a, b
+
+
+def _of_knots(stats: Reduced, n: int) -> Reduced:
+    """Statistics of the columns behind the first `n`."""
+    return Reduced(stats.chi2, stats.g[:, n:], stats.h[:, n:, n:])
 
 
 class _Missing(eqx.Module):

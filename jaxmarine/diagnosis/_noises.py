@@ -11,7 +11,7 @@ from ._workbench import Workbench
 
 def largest_noise(bench: Workbench) -> Float[np.ndarray, " channels"]:
     """Noise per channel at which it tells no more than that it stays as it is within a window."""
-    return largest(np.asarray(bench.data.windows.measured), bench.own_weight) * bench.own_noise
+    return largest(np.asarray(bench.cut.windows.measured), bench.own_weight) * bench.own_noise
 
 
 def noise_left(bench: Workbench, model: Model) -> Float[np.ndarray, " channels"]:
@@ -34,5 +34,5 @@ def _errors(bench: Workbench, model: Model) -> Float[np.ndarray, "windows steps 
     """Prediction minus measured in units of the sensors' own noise, 0 where nothing was measured."""
     model = bench.undisturbed(model)
     channels = predict(bench.problem(model.members), jnp.asarray(bench.theta(model)), model.delta)[0]
-    error = np.asarray(channels)[: bench.count] - np.asarray(bench.data.windows.measured)
+    error = np.asarray(channels)[: bench.count] - np.asarray(bench.cut.windows.measured)
     return np.asarray(wrapped(error)) * bench.own_weight

@@ -47,7 +47,8 @@ NEWS = 1.5
 WEIGHINGS = 8
 
 
-def _window(logs: Sequence[Log], window: float | None) -> float:
+def window_of(logs: Sequence[Log], window: float | None) -> float:
+    """Seconds of a window: those that are asked for, or as suits logs."""
     dt = float(np.median([log.dt for log in logs]))
     if dt > SLOWEST:
         raise InputError(
@@ -62,10 +63,20 @@ def window_length(duration: float, dt: float) -> float:
     return float(max(np.clip(duration / FEWEST_WINDOWS, SHORTEST, WINDOW), FEWEST_SAMPLES * dt))
 
 
-def _speeds(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
-    """The fastest that the logs go on each axis [m/s, rad/s], 1 where it was not measured."""
+def fastest(logs: Sequence[Log]) -> Float[np.ndarray, "6"]:
+    """The fastest that logs go on each axis [m/s, rad/s], -1 where it was not measured."""
     speeds = np.abs(np.concatenate([log.channels[:, MOTION] for log in logs]))
-    return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), 1.0)
+    return np.where(np.isfinite(speeds).any(0), np.nan_to_num(speeds).max(0), -1.0)
+
+
+def _fastest_in(bench: Workbench) -> Float[np.ndarray, "6"]:
+    return fastest(bench.data.logs)
+
+
+def speeds_of(parts: Sequence[Float[np.ndarray, "6"]]) -> Float[np.ndarray, "6"]:
+    """Speeds [m/s, rad/s] at which a craft is integrated, by the `fastest` of its logs; 1 if not measured."""
+    most = np.max(parts, axis=0)
+    return np.where(most < 0, 1.0, most)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,14 +126,14 @@ def opened_with(
     notes = [note for log in (*logs, *tests) for note in log.notes]
     logs, tests, doubled = named_apart(logs, tests)
     moving(logs)
-    wrong = [one for one in misconnected(vehicle, logs) if _suspected(one, catalogue)]
+    wrong = [one for one in misconnected(vehicle, logs) if suspected(one, catalogue)]
     causes = tuple(cause for one in wrong for cause in one.causes)
     # A log is judged by the vehicle that is connected as it was.
     every, reviews = reviewed(vehicle.place(*causes), (*logs, *tests))
     logs, tests = every[: len(logs)], every[len(logs) :]
     exchanged = _exchanges(causes)
     bench = workbench(vehicle.place(*exchanged), logs, catalogue, window, vehicle, criteria)
-    tests, left_out = _predictable(bench, tests)
+    tests, left_out = predictable(bench, tests)
     progress(FITTING)
     begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
     answered = [log for log in logs if answers(log)]
@@ -154,7 +165,7 @@ def _said(log: Log) -> Note:
     return Note.of(log.name, f"{{log}}: its {words}", f"{{logs}}: their {words}")
 
 
-def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:
+def predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...], list[str]]:
     """The test logs that can be predicted, and a note on each of the others; raises where there is none."""
     usable, wrong = [], []
     for test in tests:
@@ -181,7 +192,7 @@ def _predictable(bench: Workbench, tests: Sequence[Log]) -> tuple[tuple[Log, ...
     return tuple(usable), [f"Left out of the gain: {error}" for error in wrong]
 
 
-def _suspected(wrong: GrossError, catalogue: Sequence[type[AbstractEffect]]) -> bool:
+def suspected(wrong: GrossError, catalogue: Sequence[type[AbstractEffect]]) -> bool:
     """Whether all its causes are among those that a diagnosis may name."""
     return all(type(cause.effect) in catalogue for cause in wrong.causes)
 
@@ -200,18 +211,28 @@ def workbench(
       measured against, if it is another one.
     """
     noise = noise_of(vehicle, logs)
-    data = cut(vehicle, logs, noise, _window(logs, window))
-    if data.windows.count < FEWEST:
+    data = cut(vehicle, logs, noise, window_of(logs, window))
+    enough(logs, data.windows.count, data.length)
+    families, layout = saturate(vehicle, catalogue)
+    split = substeps(vehicle, data.hold, speeds_of([fastest(logs)]))
+    bench = Workbench(vehicle, families, layout, data, noise, split, filed=filed, criteria=criteria)
+    return roomy(bench)
+
+
+def enough(logs: Sequence[Log], windows: int, length: float) -> None:
+    """Refuses logs that give too few windows of a length [s]."""
+    if windows < FEWEST:
         names = ", ".join(log.name for log in logs)
         raise InputError(
-            f"{names}: gives {data.windows.count} windows of {data.length:g} s, a diagnosis needs {FEWEST}; "
+            f"{names}: gives {windows} windows of {length:g} s, a diagnosis needs {FEWEST}; "
             "use a longer log or a shorter window."
         )
-    families, layout = saturate(vehicle, catalogue)
-    split = substeps(vehicle, data.hold, _speeds(logs))
-    bench = Workbench(vehicle, families, layout, data, noise, split, filed=filed, criteria=criteria)
-    room = SLOTS - len(bench.base)
-    for suspect in layout.suspects:
+
+
+def roomy(bench: Workbench) -> Workbench:
+    """The workbench; refuses an effect that has more parameters than it has room for."""
+    vehicle, room = bench.vehicle, SLOTS - len(bench.base)
+    for suspect in bench.layout.suspects:
         if len(suspect.slots) > room:
             raise InputError(
                 f"Effect {suspect.label} has {len(suspect.slots)} parameters, a diagnosis of {vehicle.name} "
@@ -250,7 +271,7 @@ def moving(logs: Sequence[Log]) -> None:
 
 def stuck(bench: Workbench) -> list[str]:
     """A note on channels that are measured but cannot be used, on axes that move."""
-    measured = np.isfinite(np.concatenate([log.channels for log in bench.data.logs])).any(axis=0)
+    measured = np.any([np.isfinite(log.channels).any(axis=0) for log in bench.data.logs], axis=0)
     free = bench.vehicle.free[np.array(AXES[: len(bench.noise)])] > 0
     useless = measured & np.isnan(bench.noise) & free
     names = [name for name, bad in zip(ALL_CHANNELS, useless, strict=False) if bad]
@@ -262,7 +283,7 @@ def stuck(bench: Workbench) -> list[str]:
     ]
 
 
-def _unstated(bench: Workbench) -> list[int]:
+def unstated(bench: Workbench) -> list[int]:
     """Channels that are used and whose noise the vehicle file does not state."""
     unstated = ~bench.vehicle.states_noise(len(bench.noise))
     return np.flatnonzero(unstated & np.isfinite(bench.noise)).tolist()
@@ -279,7 +300,7 @@ def begun_with(bench: Workbench, causes: Sequence[Placed] = ()) -> tuple[Model, 
         i = bench.layout.place_of(cause)
         value = suspects[i].values(cause.effect) - bench.layout.neutral_of(i)
         model = bench.with_member(model, Member(i), value)
-    proven = contradiction(bench.vehicle, bench.data.logs, suspects) if _unstated(bench) else None
+    proven = contradiction(bench.vehicle, bench.data.logs, suspects) if unstated(bench) else None
     if proven is None:
         return model, []
     i = proven.suspect
@@ -298,7 +319,7 @@ def rescaled(bench: Workbench, begun: Model) -> Workbench:
     would outweigh all others. From what a channel changes by within a window, which is the most that it
     can be missed by, down to the residual of the file as it is, and of the file recalibrated.
     """
-    free = _unstated(bench)
+    free = unstated(bench)
     if not free:
         return bench
     bench = _weighted(bench, free, largest_noise(bench))
@@ -312,11 +333,11 @@ def fitted(bench: Workbench, model: Model) -> tuple[Workbench, Model]:
 
     A vehicle may be stiffer than its file, and runs away in steps that suit the file.
     """
-    finest = FINEST * bench.split
+    finest, speeds = FINEST * bench.split, speeds_of(bench.keeper.each(bench, _fastest_in))
     while True:
         model = refine_fully(bench, model)
         now = refiled(bench.vehicle, bench.base, model.z[: len(bench.base)])
-        needed = min(substeps(now, bench.data.hold, _speeds(bench.data.logs)), finest)
+        needed = min(substeps(now, bench.data.hold, speeds), finest)
         if needed <= bench.split:
             return bench, model
         bench = bench.finer(needed)
@@ -327,7 +348,7 @@ def sharpened(bench: Workbench, model: Model) -> Workbench | None:
 
     The file's residual had in it what the model's members explain, beside which nothing small shows.
     """
-    free = _unstated(bench)
+    free = unstated(bench)
     if not free or not model.members:
         return None
     least = np.fmin(bench.noise, noise_left(bench, model))

@@ -316,7 +316,8 @@ class Diagnosis:
       term; `white`: nothing but sensor noise is left.
     - `catalogue`: the effects that were suspected.
     - `tests`: the names of the logs on which the gain is measured; `predictions`: those on the longest.
-    - `check`: what the training logs tell of the file's coefficients, the named findings given.
+    - `check`: what the training logs tell of the file's coefficients, the named findings given; None
+      where they lie on workers.
     - `misfit_before`, `misfit_after`: chi-square per sample over the training windows; noise gives 1, less
       what the windows' fitted starts take of it (5 % of a log of poses at 10 Hz).
     - `disturbance`: what disturbs the craft besides, None where no disturbance was estimated.
@@ -345,7 +346,7 @@ class Diagnosis:
     missing_before: MissingWrench
     missing_after: MissingWrench
     catalogue: tuple[type[AbstractEffect], ...]
-    check: Check
+    check: Check | None
     train: tuple[str, ...]
     tests: tuple[str, ...]
     disturbance: RandomWrench | None = None
@@ -444,6 +445,6 @@ class Diagnosis:
                         "quadratic": axis.quadratic,
                     },
                 }
-                for axis in self.check.axes
+                for axis in (self.check.axes if self.check else ())
             ],
         }

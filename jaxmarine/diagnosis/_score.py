@@ -1,6 +1,11 @@
 """Linear algebra on the windows' statistics: what would be saved, and whether it is real."""
 
+import abc
 import dataclasses
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,13 +20,65 @@ MOST_REMEMBERED = 0.85
 FOLDS, STRETCH = 6, 3
 
 
+Result = TypeVar("Result")
+
+
+class AbstractStatistics(abc.ABC):
+    """Statistics of windows, which may lie elsewhere: functions of them are asked, or kept where they lie.
+
+    A function is one of a `Reduced`, of what is given `along` the windows (arrays, one row for each), and of
+    what else is given; it is one that another process can import.
+    """
+
+    @abc.abstractmethod
+    def each(self, of: Callable[..., Result], *given: Any, along: Sequence[Any] = ()) -> list[Result]:
+        """What a function says in each place, in the order of the logs."""
+
+    @abc.abstractmethod
+    def keep(
+        self, of: Callable[..., "Reduced"], *given: Any, along: Sequence[Any] = ()
+    ) -> "AbstractStatistics":
+        """The statistics that a function makes of these."""
+
+    @abc.abstractmethod
+    def lay(self, values: Float[np.ndarray, "windows ..."]) -> Any:
+        """What may be given along in the place of values, which then lie where the statistics do."""
+
+
 @dataclasses.dataclass(frozen=True)
-class Reduced:
+class Reduced(AbstractStatistics):
     """Per window, or group of them: gradient and information of all columns, initial states eliminated."""
 
     chi2: Float[np.ndarray, " windows"]
     g: Float[np.ndarray, "windows columns"]
     h: Float[np.ndarray, "windows columns columns"]
+
+    def each(self, of: Callable[..., Result], *given: Any, along: Sequence[Any] = ()) -> list[Result]:
+        return [of(self, *along, *given)]
+
+    def keep(
+        self, of: Callable[..., "Reduced"], *given: Any, along: Sequence[Any] = ()
+    ) -> AbstractStatistics:
+        return of(self, *along, *given)
+
+    def lay(self, values: Float[np.ndarray, "windows ..."]) -> Any:
+        return values
+
+
+def joined(parts: Sequence[Reduced]) -> Reduced:
+    """Statistics of windows that lie in several places, in the order of the logs."""
+    each = zip(*((one.chi2, one.g, one.h) for one in parts), strict=True)
+    return Reduced(*map(rows, each))
+
+
+def rows(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of windows that lie in several places, in the order of the logs."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def totals(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    """Sums over places of what each has summed."""
+    return tuple(functools.reduce(operator.add, column) for column in zip(*parts, strict=True))
 
 
 def solve(h: np.ndarray, g: np.ndarray) -> np.ndarray:

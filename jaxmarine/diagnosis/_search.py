@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
 from ._amid import amid_more, hurried, price
@@ -81,12 +82,11 @@ def dispersion(bench: Workbench, model: Model, stats: Reduced) -> float:
     """
     known, precision, _ = bench.known(model)
     owns = np.concatenate([bench.own(i) for i in range(len(bench.layout.suspects))], axis=1)
-    return max(1.0, float(np.median(dispersions(stats, owns, known, precision))))
+    return max(1.0, float(np.median(dispersions(stats.g, stats.h.sum(0), owns, known, precision))))
 
 
-def _projected(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Each own column that says more than the known ones, less what they say of it."""
-    h = stats.h.sum(0)
+def _projected(h: np.ndarray, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Each own column that says more than the known ones, less what they say of it; `h`: of all windows."""
     x = np.linalg.lstsq(known.T @ h @ known + np.diag(precision), known.T @ h @ own, rcond=1e-12)[0]
     combined = own - known @ x
     return combined[:, _information(h, combined) > 1e-6 * _information(h, own) + 1e-12]
@@ -97,11 +97,20 @@ def _information(h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return ((h @ columns) * columns).sum(-2)
 
 
-def dispersions(stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Variance of summed scores over information, of each own column that says more than the known ones."""
-    combined = _projected(stats, own, known, precision)
-    scores = stats.g @ combined
-    return len(scores) * scatter(scores) / _information(stats.h.sum(0), combined)
+def dispersions(
+    g: Float[np.ndarray, "windows columns"],
+    h: Float[np.ndarray, "columns columns"],
+    own: np.ndarray,
+    known: np.ndarray,
+    precision: np.ndarray,
+) -> np.ndarray:
+    """Variance of summed scores over information, of each own column that says more than the known ones.
+
+    - `g`: of each window; `h`: of all of them.
+    """
+    combined = _projected(h, own, known, precision)
+    scores = g @ combined
+    return len(scores) * scatter(scores) / _information(h, combined)
 
 
 def _split(bench: Workbench, model: Model, where: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -118,14 +127,19 @@ def own_dispersion(bench: Workbench, model: Model, stats: Reduced, where: slice,
     A disturbance that pushes one axis more than the others scatters the scores of what acts there, and so
     does what a few windows pull one way and the rest another.
     """
-    return mean_dispersion(stats, *_split(bench, model, where), phi)
+    return mean_dispersion(stats.g, stats.h.sum(0), *_split(bench, model, where), phi)
 
 
 def mean_dispersion(
-    stats: Reduced, own: np.ndarray, known: np.ndarray, precision: np.ndarray, least: float
+    g: Float[np.ndarray, "windows columns"],
+    h: Float[np.ndarray, "columns columns"],
+    own: np.ndarray,
+    known: np.ndarray,
+    precision: np.ndarray,
+    least: float,
 ) -> float:
     """Of the scores of all own columns that say more than the known ones; `least` at least."""
-    ratios = dispersions(stats, own, known, precision)
+    ratios = dispersions(g, h, own, known, precision)
     return max(least, float(ratios.mean())) if len(ratios) else least
 
 

@@ -1,15 +1,17 @@
 """When and where the knots of the missing wrench lie, and what was measured there."""
 
 import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY
 from ..fitting import Cut
-from ..logs import smooth_states
+from ..logs import Log, smooth_states
 from ..physics import from_euler, rotation
 from ..vehicle import Vehicle
 
@@ -50,53 +52,82 @@ class Places:
         return signals | moving
 
 
-def places(vehicle: Vehicle, data: Cut, count: int) -> Places:
-    """The places of `count` knots in each window of a cut."""
+class PlacedAt(NamedTuple):
+    """The middles of the knots of some logs, and what was measured there.
+
+    - `t` [s], `log`, `rotation`: as of `Places`.
+    - `state`: position [m], attitude [rad], velocity and rate [m/s, rad/s]; `command`; `behind`: `played`.
+    """
+
+    t: Float[np.ndarray, "windows knots"]
+    log: Int[np.ndarray, " windows"]
+    rotation: Float[np.ndarray, "windows knots 3 3"]
+    state: Float[np.ndarray, "windows knots 12"]
+    command: Float[np.ndarray, "windows knots columns"]
+    behind: Float[np.ndarray, "windows knots columns plays"]
+
+
+def samples_at(data: Cut, count: int) -> Int[np.ndarray, "windows knots"]:
+    """The samples in the middles of `count` knots in each window of a cut."""
     step = np.asarray(data.windows.step)
     part = np.arange(step.shape[1]) * count // step.shape[1]
     middle = np.array([step[:, part == k].mean(axis=1) for k in range(count)]).T
-    log = np.asarray(data.windows.log)
+    return np.round(middle).astype(int)
+
+
+def placed_at(
+    vehicle: Vehicle, data: Cut, first: int, count: int, largest: Float[np.ndarray, " columns"]
+) -> PlacedAt:
+    """Of `count` knots in each window of a cut.
+
+    - `first`: how many logs come before its own; `largest`: command of each column in all of them.
+    """
+    sample, log = samples_at(data, count), np.asarray(data.windows.log)
     t = np.zeros((len(log), count))
     state = np.zeros((len(log), count, 12))
     command = np.zeros((len(log), count, len(vehicle.drive_names)))
     behind = np.zeros((*command.shape, len(PLAYS)))
-    widths = np.outer(_largest(data, vehicle), PLAYS)
+    widths = np.outer(np.where(largest > 0, largest, 1.0), PLAYS)
     for i, source in enumerate(data.logs):
         here = log == i
         track = smooth_states(source, vehicle.dof)
-        sample = np.clip(np.round(middle[here]).astype(int), 0, len(source.t) - 1)
-        t[here] = source.t[sample]
-        state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample]
+        t[here] = source.t[sample[here]]
+        state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample[here]]
         commands = source.commanded(vehicle.command_names)
         if commands is not None:
             given = np.asarray(commands)[:, : command.shape[-1]]
-            command[here] = given[sample]
-            behind[here] = _played(given, widths)[sample]
+            command[here] = given[sample[here]]
+            behind[here] = _played(given, widths)[sample[here]]
+    turns = jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
+    return PlacedAt(t, first + log, np.asarray(turns), state, command, behind)
+
+
+def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]) -> Places:
+    """The places of knots; `drives`: names of the columns, `parts`: of the logs, in their order."""
+    t, log, turns, state, command, behind = (np.concatenate(column) for column in zip(*parts, strict=True))
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
     signals = {name: state[:, :, i] for i, name in enumerate(names)}
-    signals |= {name: command[:, :, i] for i, name in enumerate(vehicle.drive_names)}
+    signals |= {name: command[:, :, i] for i, name in enumerate(drives)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
-    spans = np.cumsum([0.0, *[source.duration for source in data.logs]])[:-1]
-    began = np.array([source.t[0] for source in data.logs])
+    spans = np.cumsum([0.0, *[source.duration for source in logs]])[:-1]
+    began = np.array([source.t[0] for source in logs])
     signals["t"] = t + (began[0] + spans - began)[log][:, None]
-    turns = jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
     return Places(
         t=t,
         log=log,
-        rotation=np.asarray(turns),
+        rotation=turns,
         velocity=state[:, :, 6:],
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
-        played={name: behind[:, :, i] for i, name in enumerate(vehicle.drive_names)},
+        played={name: behind[:, :, i] for i, name in enumerate(drives)},
     )
 
 
-def _largest(data: Cut, vehicle: Vehicle) -> Float[np.ndarray, " columns"]:
-    """The largest command of each column, 1 where it has none."""
+def largest_commands(vehicle: Vehicle, logs: Sequence[Log]) -> Float[np.ndarray, " columns"]:
+    """The largest command of each column, 0 where it has none."""
     columns = len(vehicle.drive_names)
-    given = [log.commanded(vehicle.command_names) for log in data.logs]
+    given = [log.commanded(vehicle.command_names) for log in logs]
     sizes = [np.abs(one[:, :columns]) for one in given if one is not None]
-    most = np.concatenate([np.zeros((1, columns)), *sizes]).max(axis=0)
-    return np.where(most > 0, most, 1.0)
+    return np.concatenate([np.zeros((1, columns)), *sizes]).max(axis=0)
 
 
 def _played(

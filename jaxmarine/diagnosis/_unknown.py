@@ -17,7 +17,7 @@ from scipy import stats
 from .._types import ATTITUDE, DOFS, POSITION, RATE, VELOCITY
 from ._criteria import DEFAULT, Criteria
 from ._knots import Knots, missing_wrench, on_axis
-from ._score import blocks, solve, step_with, t_value
+from ._score import Reduced, blocks, rows, solve, step_with, t_value
 from ._signals import Places, Signals
 
 # Standard errors over windows within which two sets of signals are not told apart.
@@ -181,17 +181,14 @@ class _Ledger:
         self.weight = 1.0 / (variance + np.median(variance, axis=(0, 1)))
         self.known = np.zeros(shape)
         self._constants: dict[int, np.ndarray] = {}
-        n = k.width
-        self.g, self.h = k.stats.g[:, n:], k.stats.h[:, n:, n:]
+        self._laid = k.stats.lay(self.known)
 
     def chi2(
         self, axis: int, wrenches: Float[np.ndarray, "some windows knots"]
     ) -> Float[np.ndarray, "some windows"]:
         """Change of each window's chi-square by some wrenches on an axis, each beside those found already."""
-        push = np.tile(self.known, (len(wrenches), 1, 1, 1))
-        push[..., axis] += wrenches
-        push = np.moveaxis(push.reshape(*push.shape[:2], -1), 0, 2)
-        return ((2 * self.g[..., None] + self.h @ push) * push).sum(axis=1).T
+        along = (self._laid, np.moveaxis(wrenches, 0, 1))
+        return rows(self.k.stats.each(_change, self.k.width, axis, along=along)).T
 
     def _predicted(self, axis: int, values: np.ndarray):
         """What regressors predict of the missing wrench on left-out windows, pulled to zero as suits them.
@@ -232,7 +229,23 @@ class _Ledger:
 
     def add(self, axis: int, wrench: np.ndarray) -> None:
         self.known[..., axis] += wrench
+        self._laid = self.k.stats.lay(self.known)
         self._constants.clear()
+
+
+def _change(
+    stats: Reduced,
+    known: Float[np.ndarray, "windows knots 6"],
+    wrenches: Float[np.ndarray, "windows some knots"],
+    n: int,
+    axis: int,
+) -> Float[np.ndarray, "windows some"]:
+    """`_Ledger.chi2` of the windows of one place, where `known` acts; z is the first `n` columns."""
+    wrenches = np.moveaxis(wrenches, 0, 1)
+    push = np.tile(known, (len(wrenches), 1, 1, 1))
+    push[..., axis] += wrenches
+    push = np.moveaxis(push.reshape(*push.shape[:2], -1), 0, 2)
+    return ((2 * stats.g[:, n:, None] + stats.h[:, n:, n:] @ push) * push).sum(axis=1)
 
 
 def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
@@ -331,7 +344,7 @@ def dependences(
             break
         left.remove(axis)
         others = sum(one.saved for one in found) + ledger.constant(axis)
-        excess = k.stats.chi2.sum() - freedom - others
+        excess = k.chi2.sum() - freedom - others
         plain = 0.0 < criteria.most * excess < gain.sum()
         most = bool(gain.sum() > criteria.most * ledger.left(axis))
         if _sigmas(gain, most) < (criteria.sigmas_of_most if plain else criteria.sigmas):
@@ -361,7 +374,7 @@ def size_only(
     moved = k.places.signals | (undisturbed or {})
     names = [n for n in moved if n in k.places.commanded or (undisturbed and n in undisturbed)]
     activity = {n: np.sqrt((moved[n] ** 2).mean(axis=1)) for n in names}
-    chi2, third = k.stats.chi2, len(k.stats.chi2) // 3
+    chi2, third = k.chi2, len(k.chi2) // 3
     ranks: Any = {n: stats.spearmanr(a, chi2) for n, a in activity.items() if np.ptp(a) > 0}
     alike = {n: float(rank.statistic) for n, rank in ranks.items()}
     order = sorted(alike, key=lambda n: -alike[n])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from .._progress import LOOKING, Progress
 from .._types import RATE, VELOCITY
@@ -20,10 +21,10 @@ from ._explanation import Beside, Model
 from ._judge import Judged, judged
 from ._knots import Knots
 from ._result import Dropped
-from ._score import Reduced
+from ._score import Reduced, rows, totals
 from ._search import dispersion, mean_dispersion, nats, needed
 from ._settle import pruned
-from ._signals import Signals
+from ._signals import Signals, samples_at
 from ._unknown import (
     Dependence,
     acting,
@@ -116,25 +117,35 @@ def _dependences(
 def _undisturbed(bench: Workbench, vehicle: Vehicle) -> Signals | None:
     """Velocities at the knots as simulated from the commands over whole logs, None where that fails."""
     places = bench.places
-    out = np.zeros((*places.t.shape, 6))
-    logs = bench.data.logs
-    longest = max(len(log.t) for log in logs)
-    for i, log in enumerate(logs):
-        track = smooth_states(log, vehicle.dof)
-        start = initial_state(vehicle, track.position[0], track.attitude[0], track.nu[0])
-        later = {other.name for other in logs[i + 1 :]}
-        begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
-        # All as long as the longest, or each would compile a program of its own.
-        run = simulate(dataclasses.replace(vehicle, placed=begun), _going_on(log, longest), start)
-        here = places.log == i
-        nu = np.asarray(run.states.velocity)[: len(log.t)]
-        for axis in range(6):
-            out[here, :, axis] = np.interp(places.t[here], log.t, nu[:, axis])
+    longest = max(len(log.t) for log in bench.data.logs)
+    out = np.concatenate(bench.keeper.each(bench, _simulated, vehicle, longest))
     names = (*VELOCITY, *RATE)
     if not np.isfinite(out).all():
         return None
     over_ground = {name: out[..., i] for i, name in enumerate(names)}
     return places.through_water(np.asarray(vehicle.plant().water), over_ground)
+
+
+def _simulated(bench: Workbench, vehicle: Vehicle, longest: int) -> Float[np.ndarray, "windows knots 6"]:
+    """Velocities [m/s, rad/s] at the knots of the logs that lie here.
+
+    - `longest`: samples of the longest of all logs.
+    """
+    logs, number = bench.data.logs, np.asarray(bench.cut.windows.log)
+    sample = samples_at(bench.cut, bench.knots)
+    out = np.zeros((*sample.shape, 6))
+    for i, log in enumerate(logs):
+        track = smooth_states(log, vehicle.dof)
+        start = initial_state(vehicle, track.position[0], track.attitude[0], track.nu[0])
+        later = {*(other.name for other in logs[i + 1 :]), *bench.part.later}
+        begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
+        # All as long as the longest, or each would compile a program of its own.
+        run = simulate(dataclasses.replace(vehicle, placed=begun), _going_on(log, longest), start)
+        here = number == i
+        nu = np.asarray(run.states.velocity)[: len(log.t)]
+        for axis in range(6):
+            out[here, :, axis] = np.interp(log.t[sample[here]], log.t, nu[:, axis])
+    return out
 
 
 def _going_on(log: Log, samples: int) -> Log:
@@ -239,12 +250,18 @@ def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) ->
     return worst if more[worst] < 0 else None
 
 
+def _of_known(stats: Reduced, n: int) -> tuple[Float[np.ndarray, "windows z"], Float[np.ndarray, "z z"]]:
+    """Gradient of the first `n` columns in each window, and their information in all."""
+    return stats.g[:, :n], stats.h[:, :n, :n].sum(0)
+
+
 def _scatters_beside(k: Knots, members: list[slice], unknown: tuple[Dependence, ...]) -> list[float]:
     """Dispersion of the scores of members, where their parameters lie in z, once dependences have acted."""
-    after, z, columns = acting(k, unknown).stats, np.arange(k.width), np.eye(k.width)
-    stats = Reduced(after.chi2, after.g[:, : k.width], after.h[:, : k.width, : k.width])
+    z, columns = np.arange(k.width), np.eye(k.width)
+    parts = acting(k, unknown).stats.each(_of_known, k.width)
+    g, (h,) = rows([own for own, _ in parts]), totals([part[1:] for part in parts])
     out = []
     for where in members:
         mine = (z >= where.start) & (z < where.stop)
-        out.append(mean_dispersion(stats, columns[:, mine], columns[:, ~mine], k.precision[~mine], 1.0))
+        out.append(mean_dispersion(g, h, columns[:, mine], columns[:, ~mine], k.precision[~mine], 1.0))
     return out

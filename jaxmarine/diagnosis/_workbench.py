@@ -56,9 +56,10 @@ from ._criteria import DEFAULT, Criteria
 from ._explanation import Beginning, Beside, Member, Model, Stretches
 from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
+from ._keeper import HERE, AbstractKeeper, Outline, Part
 from ._saturated import Layout, SaturatedPlant
-from ._score import Reduced
-from ._signals import Places, places
+from ._score import AbstractStatistics, Reduced, joined
+from ._signals import PlacedAt, Places, largest_commands, placed_at, places
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect. With
 # half of it a step would take as long.
@@ -95,7 +96,7 @@ KNOT = 0.5
 SHAPES = 64
 
 # Arguments of a workbench's constructor that another one takes over from it.
-_OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria")
+_OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria", "part")
 
 Result = TypeVar("Result")
 
@@ -133,6 +134,8 @@ class Workbench:
     - `samples`: measured numbers in all windows; `freedom`: those that the windows' starts leave.
     - `criteria`: what decides an answer.
     - `room`: that of the programs; one that was given, if the logs fit into it.
+    - `part`: which of all logs its own are, where others lie elsewhere; `keeper`: who keeps the windows, of
+      which `data` is an outline where that is not this process.
     - `group_windows`, `group_log`, `group_starts`: the first window of each group, its log and its time [s].
     """
 
@@ -141,13 +144,15 @@ class Workbench:
         vehicle: Vehicle,
         families: tuple[AbstractEffect, ...],
         layout: Layout,
-        data: Cut,
+        data: Cut | Outline,
         noise: Float[np.ndarray, " channels"],
         split: int,
         own_noise: Float[np.ndarray, " channels"] | None = None,
         filed: Vehicle | None = None,
         criteria: Criteria = DEFAULT,
         room: Room | None = None,
+        part: Part | None = None,
+        keeper: AbstractKeeper = HERE,
     ):
         self.vehicle = vehicle
         self.filed = vehicle if filed is None else filed
@@ -159,25 +164,32 @@ class Workbench:
         self.families = families
         self.criteria = criteria
         self.base = base_coefficients(vehicle, layout, criteria.file_error)
-        self.count = data.windows.count
-        self.samples = int((np.asarray(data.windows.weight) > 0).sum())
-        self.freedom = float(max(self.samples - self.count * _starts(data, vehicle), 1))
-        log = np.asarray(data.windows.log)
-        group = _grouped(log)
+        outline = data if isinstance(data, Outline) else Outline.of(data)
+        log, steps = outline.log, outline.steps
+        dt = float(np.median([log.dt for log in data.logs]))
+        self.part = Part(0, (), 0, len(log), dt) if part is None else part
+        self.keeper = keeper
+        self.count = len(log)
+        self.samples = int(outline.seen.sum())
+        self.freedom = float(max(self.samples - self.count * _starts(outline.seen, vehicle), 1))
+        group = _grouped(log, self.part.windows)
         self.group_windows = np.flatnonzero(np.diff(group, prepend=-1))
         self.group_log, self.group_starts = log[self.group_windows], data.starts[self.group_windows]
-        own = Room.of(data.records, data.windows)
-        self.room = room if room is not None and room.holds(own) else own
         # Two samples or more to each: what pushes behind a window's last one shows nowhere.
-        steps = data.windows.step.shape[1]
-        parts = parts_of(steps, float(np.median([log.dt for log in data.logs])))
+        parts = parts_of(steps, self.part.dt)
         of_part = round(data.length / parts / KNOT)
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), max(1, steps // (2 * parts)))
-        self._own = segments(vehicle, data.logs)
-        self._screened: tuple[Model, tuple[Reduced, Reduced]] | None = None
+        self._own = segments(vehicle, data.logs, self.part.later)
+        self._screened: tuple[Model, Any, Reduced] | None = None
         self._sampled: tuple[Model, Model] | None = None
         # Programs that are compiled, by kinds of models.
         self._known = set[tuple[str, tuple[bool, bool] | None]]()
+        if isinstance(data, Outline):
+            # No program for windows is compiled here.
+            self.room = Room(0, 0, 0)
+            return
+        own = Room.of(data.records, data.windows)
+        self.room = room if room is not None and room.holds(own) else own
         # Windows that only fill the programs' arrays up are in a group of their own, the last.
         self._most_groups = self.room.windows if self.count <= GROUPS else GROUPS + self.room.logs
         self._groups = np.full(self.room.windows, self._most_groups)
@@ -194,20 +206,42 @@ class Workbench:
             axes=vehicle.axes,
         )
 
+    @property
+    def cut(self) -> Cut:
+        """The windows, where they lie here."""
+        assert isinstance(self.data, Cut)
+        return self.data
+
     @functools.cached_property
-    def _sample(self) -> tuple["Workbench", slice]:
-        """The same with some windows out of many, and which."""
-        which = slice(None, None, max(1, min(SPARSEST, self.count // SAMPLE)))
-        if which.step == 1:
-            return self, which
-        windows = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[which]), self.data.windows)
-        data = dataclasses.replace(self.data, windows=windows, starts=self.data.starts[which])
-        return self._like(data=data), which
+    def _sample(self) -> tuple["Workbench", int]:
+        """The same with some windows out of many, and one of how many these are."""
+        step = max(1, min(SPARSEST, self.count // SAMPLE))
+        return (self if step == 1 else self.every(step)), step
+
+    def which(self, step: int) -> slice:
+        """The own windows whose number, counted over all, is a multiple of `step`."""
+        return slice(-self.part.before % step, None, step)
+
+    def every(self, step: int) -> "Workbench":
+        """The same with those windows alone whose number, counted over all, is a multiple of `step`."""
+        data, which = self.data, self.which(step)
+        starts = data.starts[which]
+        if isinstance(data, Outline):
+            seen = np.sum(self.keeper.each(self, seen_in, step), axis=0)
+            few = dataclasses.replace(data, starts=starts, log=data.log[which], seen=seen)
+        else:
+            windows = jax.tree.map(lambda a: jnp.asarray(np.asarray(a)[which]), data.windows)
+            few = dataclasses.replace(data, windows=windows, starts=starts)
+        own = self._arguments | {"data": few, "part": self.part.every(step)}
+        return Workbench(**own, keeper=self.keeper.remade(Workbench.every, step))
+
+    @property
+    def _arguments(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in _OWN}
 
     def _like(self, **other: Any) -> "Workbench":
         """The same but for some arguments of the constructor."""
-        own = {name: getattr(self, name) for name in _OWN}
-        return Workbench(**(own | other))
+        return Workbench(**(self._arguments | other), keeper=self.keeper.remade(remade, other))
 
     def finer(self, split: int) -> "Workbench":
         """The same with each hold integrated in so many steps."""
@@ -216,13 +250,15 @@ class Workbench:
     @functools.cached_property
     def fine(self) -> Fine:
         """The windows cut up for the filter."""
-        parts = self._problem, self.vehicle, self.data, self.room, self._groups, self._most_groups
+        parts = self._problem, self.vehicle, self.cut, self.room, self._groups, self._most_groups
         return Fine.of(*parts)
 
     @functools.cached_property
     def places(self) -> Places:
         """Of the knots; logs are smoothed for them, which a workbench that only refines can do without."""
-        return places(self.vehicle, self.data, self.knots)
+        names, logs = self.vehicle.drive_names, self.data.logs
+        largest = np.max(self.keeper.each(self, largest_in), axis=0)
+        return places(names, logs, self.keeper.each(self, placed_in, largest))
 
     # --- the affine map of z -------------------------------------------------------------------
 
@@ -253,7 +289,7 @@ class Workbench:
         """Those of the training logs, or of a test log that comes after them unless it is one of them."""
         logs = self.data.logs
         if test is None:
-            return self._stretches(members, logs, range(len(logs)), self._own)
+            return self._stretches(members, logs, self._positions, self._own)
         twin = self.twin(test)
         if twin is not None:
             whole = self.stretches(members)
@@ -262,6 +298,11 @@ class Workbench:
         last = dataclasses.replace(own, of_samples=own.of_samples[-1:])
         return self._stretches(members, (test,), (len(logs),), last)
 
+    @property
+    def _positions(self) -> range:
+        """The own logs' places in the order of recording."""
+        return range(self.part.first, self.part.first + len(self.data.logs))
+
     def twin(self, test: Log) -> int | None:
         """Which training log a test log is, if it is one."""
         return next((i for i, log in enumerate(self.data.logs) if same_log(log, test)), None)
@@ -269,7 +310,7 @@ class Workbench:
     def have_room(self, members: Sequence[Member]) -> bool:
         """Whether the programs have a stretch for each of those between the members' beginnings."""
         logs = self.data.logs
-        codes = self._codes(members, logs, range(len(logs)), self._own)
+        codes = self._codes(members, logs, self._positions, self._own)
         return len(np.unique(np.concatenate(codes))) <= SEGMENTS
 
     def _codes(
@@ -350,6 +391,11 @@ class Workbench:
             (jnp.asarray(segment), jnp.asarray(filled(stretches.gates))),
         )
 
+    def _plant_of(self, members: Sequence[Member]) -> SaturatedPlant:
+        """The plants of the segments that the beginnings make."""
+        gates = filled(self.stretches(members).gates)
+        return SaturatedPlant(self.vehicle, self.families, jnp.asarray(gates))
+
     def stood_for(self, model: Model) -> Bool[np.ndarray, " base"]:
         """Which coefficients of the file a member stands for: one that changes them and always acts."""
         taken = {m.suspect for m in model.members if m.since is None}
@@ -368,17 +414,17 @@ class Workbench:
             out[j] = (1e12 if held else model.weight) / c.prior**2
         return out
 
-    def _held_by(self, model: Model) -> Array:
-        """The prior's precision, of a z that fills up too."""
+    def task_prior(self, model: Model) -> Array:
+        """The prior's precision of a task, of a z that fills up too."""
         return jnp.asarray(self._padded(self._precision(model), 1.0))
 
     def task(self, model: Model) -> Task:
-        return Task(self.problem(model.members), self.affine(model.members), self._held_by(model))
+        return Task(self.problem(model.members), self.affine(model.members), self.task_prior(model))
 
     # --- what the search asks ------------------------------------------------------------------
 
     def start(self) -> Model:
-        return Model((), np.zeros(len(self.base)), jnp.zeros((self.room.windows, 12)), np.inf)
+        return Model((), np.zeros(len(self.base)), self.keeper.keep(self, as_measured), np.inf)
 
     def refine(self, model: Model, max_steps: int = 25, rtol: float = EXACT) -> Model:
         """Gauss-Newton on all numbers, until a step promises less than `rtol` of the chi-square.
@@ -394,9 +440,7 @@ class Workbench:
             moved = dict[str, Any](beside=dataclasses.replace(model.beside, path=out.path))
             own = 0.5 * unusual(model.beside.force, self.fine.unit)
         else:
-            out = refine_windows(
-                self.task(model), jnp.asarray(z), model.delta, max_steps, rtol=rtol, damping=damping
-            )
+            out = self.keeper.refined(self, model, jnp.asarray(z), max_steps, rtol, damping)
             moved, own = dict[str, Any](delta=out.delta), 0.0
         cost = float(out.cost) + own
         if not np.isfinite(cost) and model.z[: len(self.base)].any():
@@ -408,7 +452,7 @@ class Workbench:
 
     def _likelihood(self, model: Model, force: Disturbance) -> Likelihood:
         problem = self.problem(model.members, self.fine.problem)
-        return Likelihood(problem, self.affine(model.members), self._held_by(model), force)
+        return Likelihood(problem, self.affine(model.members), self.task_prior(model), force)
 
     def along(self, model: Model) -> tuple[Problem, Affine]:
         """The windows cut up for the filter, and the map of changes of z."""
@@ -532,9 +576,10 @@ class Workbench:
             with jax.enable_x64(True):
                 return of(model)
 
-        # The first compiles the program that the others share, if none of its kind was compiled before.
+        # The first compiles the program that the others share, if none of its kind was compiled before. Other
+        # processors work on windows that lie elsewhere.
         kinds = {(program, None if model.beside is None else model.beside.force.kind) for model in models}
-        alone = 0 if kinds <= self._known else 1
+        alone = len(models) if isinstance(self.data, Outline) else 0 if kinds <= self._known else 1
         first = [one(model) for model in models[:alone]]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             out = [*first, *pool.map(one, models[alone:])]
@@ -543,16 +588,14 @@ class Workbench:
 
     def sampled(self, model: Model) -> "Sample":
         """Some windows out of many, and the model refined on these; all where there are not many."""
-        few, which = self._sample
+        few, step = self._sample
         if few is self or model.beside is not None:
             return Sample(self, model, 1)
         if self._sampled is None or self._sampled[0] is not model:
-            delta = np.zeros((few.room.windows, 12))
-            delta[: few.count] = np.asarray(model.delta)[: self.count][which]
-            weight = model.weight / which.step
-            here = dataclasses.replace(model, delta=jnp.asarray(delta), weight=weight, cost=np.inf)
+            delta = self.keeper.keep(few, as_some, self, step, model)
+            here = dataclasses.replace(model, delta=delta, weight=model.weight / step, cost=np.inf)
             self._sampled = model, few.refine(here)
-        return Sample(few, self._sampled[1], which.step)
+        return Sample(few, self._sampled[1], step)
 
     def frozen(self, model: Model) -> Model:
         """The model with the file's coefficients held at their values."""
@@ -561,9 +604,8 @@ class Workbench:
     def as_filed(self, model: Model) -> Model:
         """The model with the file's coefficients at their values, and windows that begin as measured."""
         z = np.concatenate([np.zeros(len(self.base)), model.z[len(self.base) :]])
-        return dataclasses.replace(
-            model, z=z, delta=jnp.zeros_like(model.delta), cost=np.inf, damping=LEAST_DAMPING
-        )
+        delta = self.keeper.keep(self, as_measured)
+        return dataclasses.replace(model, z=z, delta=delta, cost=np.inf, damping=LEAST_DAMPING)
 
     def theta(self, model: Model, stretches: Stretches | None = None) -> np.ndarray:
         """The saturated model's parameters in each segment, of the training logs by default."""
@@ -572,13 +614,13 @@ class Workbench:
     def water(self, model: Model) -> Float[np.ndarray, "3"]:
         """Velocity of the water [m/s], where all that begins has begun."""
         last = len(self.stretches(model.members).passed) - 1
-        theta, plant_of = self.theta(model)[last], self.problem(model.members).plant_of
+        theta, plant_of = self.theta(model)[last], self._plant_of(model.members)
         return np.asarray(_water(plant_of, jnp.asarray(theta), jnp.asarray(last)))
 
     @property
     def own_weight(self) -> Float[np.ndarray, "windows steps channels"]:
         """One over the noise of the sensors alone, 0 where nothing was measured."""
-        return np.where(np.asarray(self.data.windows.weight) > 0, np.nan_to_num(1.0 / self.own_noise), 0.0)
+        return np.where(np.asarray(self.cut.windows.weight) > 0, np.nan_to_num(1.0 / self.own_noise), 0.0)
 
     def as_connected(self, *otherwise: Placed) -> "Workbench":
         """The same with the columns as the vehicle file has them, or as causes of ours exchange these."""
@@ -590,14 +632,15 @@ class Workbench:
 
     def on(self, logs: Sequence[Log]) -> "Workbench":
         """The same with other logs, whose programs are those of its own where there is room."""
-        return self._like(data=cut(self.vehicle, logs, self.noise, self.data.length), room=self.room)
+        data = cut(self.vehicle, logs, self.noise, self.data.length)
+        return self._like(data=data, part=None, room=self.room)
 
     def reweighed(self, noise: Float[np.ndarray, " channels"]) -> "Workbench":
         """The same with another noise of its channels, but where windows begin (`fitting._weights`)."""
         factor = np.nan_to_num(noise / self.own_noise, nan=1.0)
         weight = scaled(self.own_weight, factor, self.data.logs[0].dt)
-        windows = dataclasses.replace(self.data.windows, weight=jnp.asarray(weight))
-        return self._like(data=dataclasses.replace(self.data, windows=windows), noise=noise)
+        windows = dataclasses.replace(self.cut.windows, weight=jnp.asarray(weight))
+        return self._like(data=dataclasses.replace(self.cut, windows=windows), noise=noise)
 
     @property
     def raised(self) -> bool:
@@ -621,7 +664,7 @@ class Workbench:
                 return False
         own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
-        plant_of, theta = self.problem(model.members).plant_of, jnp.asarray(self.theta(model))
+        plant_of, theta = self._plant_of(model.members), jnp.asarray(self.theta(model))
         bodies = _bodies(plant_of, theta, jnp.asarray(self._flow(model)))
         for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
             mass = rigid + added
@@ -646,8 +689,7 @@ class Workbench:
         loses = any(self.layout.suspects[m.suspect].effect is InflowLoss for m in model.members)
         if not loses or self.water(model).any():
             return np.zeros(len(direction))
-        velocity = np.asarray(self.data.windows.velocity)[:, :3]
-        return np.sqrt(((velocity @ direction.T) ** 2).mean(axis=0))
+        return np.sqrt(sum(self.keeper.each(self, squares_along, direction)) / self.count)
 
     def brakes(self, model: Model) -> Bool[np.ndarray, "6 6"]:
         """On the diagonal whether each axis is braked at the logs' speeds, gear at rest and memory included.
@@ -660,7 +702,7 @@ class Workbench:
         """
         met, theta = len(self.stretches(model.members).passed), self.theta(model)
         speed = self.data.speeds
-        plant_of = self.problem(model.members).plant_of
+        plant_of = self._plant_of(model.members)
         braking = np.array(_braking(plant_of, jnp.asarray(theta), jnp.asarray(speed))[:met])
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
@@ -721,7 +763,7 @@ class Workbench:
         chi-square is minus twice the logarithm of the likelihood of each given all before it. Raises
         `InputError` where the vehicle runs away along the logs.
         """
-        found = self._screening(model)[0] if model.beside is None else self._innovated(model)
+        found = self._screening(model)[1] if model.beside is None else self._innovated(model)
         if not np.isfinite(found.h).all():
             raise runaway(self.data.logs[0].name, self.vehicle.name)
         return found
@@ -748,13 +790,13 @@ class Workbench:
             np.asarray(found.h)[:count],
         )
 
-    def with_knots(self, model: Model) -> Reduced:
+    def with_knots(self, model: Model) -> AbstractStatistics:
         """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window.
 
         Beside a disturbance what is left of the latter, and of the chi-square, once it is filtered out.
         """
         if model.beside is None:
-            return self._screening(model)[1]
+            return self.keeper.of_windows(self, self._screening(model)[0])
         problem, affine = self.along(model)
         parts = self.fine.parts
         group = jnp.arange(self.room.windows * parts) // parts
@@ -838,11 +880,19 @@ class Workbench:
                 at += width
         return Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
 
-    def _screening(self, model: Model) -> tuple[Reduced, Reduced]:
-        """The last one is kept: screening and missing wrench are commonly asked of the same model."""
-        if self._screened is not None and self._screened[0] is model:
-            return self._screened[1]
-        self._screened = None
+    def _screening(self, model: Model) -> tuple[Any, Reduced]:
+        """The statistics of groups, and those of `screened` where the windows lie.
+
+        The last one is kept: screening and missing wrench are commonly asked of the same model.
+        """
+        if self._screened is None or self._screened[0] is not model:
+            self._screened = None
+            found = self.keeper.keep(self, screened, model)
+            self._screened = (model, found, joined(self.keeper.each(self, of_groups, found)))
+        return self._screened[1:]
+
+    def screened(self, model: Model) -> tuple[Reduced, Reduced]:
+        """Statistics of `screen` of groups of windows, and of `with_knots` of each, beside white noise."""
         size, affine = self.layout.size, self._every_column(model)
         asked = self._own_columns(model)
         room = np.zeros((len(asked), SLOTS + 6 * self.knots))
@@ -858,7 +908,7 @@ class Workbench:
         )
         chi2, g = np.asarray(found.chi2)[: self.count], np.asarray(found.g)[: self.count]
         first, n, width = self.group_windows, size + BEGUN, asked.shape[1]
-        of_groups = Reduced(
+        groups = Reduced(
             np.add.reduceat(chi2, first),
             np.add.reduceat(g[:, :n], first, axis=0),
             np.asarray(found.h)[: len(first)],
@@ -868,12 +918,12 @@ class Workbench:
         pairs = np.asarray(found.h_own)[: self.count, : len(row)]
         h = np.empty((self.count, width, width))
         h[:, row, column] = h[:, column, row] = pairs
-        of_windows = Reduced(chi2, g @ asked, h)
-        self._screened = (model, (of_groups, of_windows))
-        return of_groups, of_windows
+        return groups, Reduced(chi2, g @ asked, h)
 
-    def check(self, model: Model) -> Check:
-        """What the logs tell of the file's coefficients, at the model."""
+    def check(self, model: Model) -> Check | None:
+        """What the logs tell of the file's coefficients, at the model; None of logs that lie elsewhere."""
+        if isinstance(self.data, Outline):
+            return None
         model = self.undisturbed(model)
         z, task = self._padded(model.z), self.task(model)
         # One step leaves the statistics where it began.
@@ -903,20 +953,76 @@ class Workbench:
         return np.concatenate([columns, np.zeros((BEGUN, columns.shape[1]))])
 
 
-def _starts(data: Cut, vehicle: Vehicle) -> int:
+# --- what a keeper does where the windows lie ----------------------------------------------------
+
+
+def remade(bench: Workbench, other: dict[str, Any]) -> Workbench:
+    """The workbench but for some arguments of its constructor; programs there have room of their own."""
+    return bench._like(**{name: value for name, value in other.items() if name != "room"})
+
+
+def as_measured(bench: Workbench) -> Float[Array, "windows 12"]:
+    """Changes of the windows' initial states: none."""
+    return jnp.zeros((bench.room.windows, 12))
+
+
+def as_some(few: Workbench, bench: Workbench, step: int, model: Model) -> Float[Array, "windows 12"]:
+    """Those of a model for the windows that are in `few` (`Workbench.every`)."""
+    delta = np.zeros((few.room.windows, 12))
+    delta[: few.count] = np.asarray(model.delta)[: bench.count][bench.which(step)]
+    return jnp.asarray(delta)
+
+
+def seen_in(bench: Workbench, step: int) -> Int[np.ndarray, " channels"]:
+    """How many numbers of each channel were measured in some of the windows (`Workbench.every`)."""
+    return Outline.of(bench.every(step).cut).seen
+
+
+def squares_along(
+    bench: Workbench, direction: Float[np.ndarray, "directions 3"]
+) -> Float[np.ndarray, " directions"]:
+    """Sum of the squares of the velocities along some directions with which windows begin [m²/s²]."""
+    velocity = np.asarray(bench.cut.windows.velocity)[:, :3]
+    return ((velocity @ direction.T) ** 2).sum(axis=0)
+
+
+def largest_in(bench: Workbench) -> Float[np.ndarray, " columns"]:
+    """The largest command of each column, 0 where it has none."""
+    return largest_commands(bench.vehicle, bench.data.logs)
+
+
+def placed_in(bench: Workbench, largest: Float[np.ndarray, " columns"]) -> PlacedAt:
+    """Where the knots lie and what was measured there."""
+    return placed_at(bench.vehicle, bench.cut, bench.part.first, bench.knots, largest)
+
+
+def screened(bench: Workbench, model: Model) -> tuple[Reduced, Reduced]:
+    return bench.screened(model)
+
+
+def of_groups(bench: Workbench, found: tuple[Reduced, Reduced]) -> Reduced:
+    del bench
+    return found[0]
+
+
+def _starts(seen: Int[np.ndarray, " channels"], vehicle: Vehicle) -> int:
     """Numbers of a window's start that its samples determine: they take as many degrees of freedom.
 
-    Of each axis its velocity, where anything of it is measured, and its position where that is.
+    Of each axis its velocity, where anything of it is measured, and its position where that is; `seen`: how
+    many numbers of each channel were measured.
     """
-    measured = np.flatnonzero((np.asarray(data.windows.weight) > 0).any(axis=(0, 1)))
+    measured = np.flatnonzero(seen)
     seen = np.array(AXES)[measured]
     placed = seen[measured < POSES.stop]
     return sum((axis in placed) + (axis in seen) for axis in vehicle.axes)
 
 
-def _grouped(log: Int[np.ndarray, " windows"]) -> Int[np.ndarray, " windows"]:
-    """The group of each window: as many in a row of a log as make no more than `GROUPS` in all, or a few."""
-    size = -(-len(log) // GROUPS)
+def _grouped(log: Int[np.ndarray, " windows"], windows: int) -> Int[np.ndarray, " windows"]:
+    """The group of each window: as many in a row of a log as make no more than `GROUPS` in all, or a few.
+
+    - `windows`: how many there are with those that lie elsewhere.
+    """
+    size = -(-windows // GROUPS)
     number = np.arange(len(log)) - np.searchsorted(log, log)
     return np.cumsum(np.diff(log, prepend=log[0]).astype(bool) | (number % size == 0)) - 1
 

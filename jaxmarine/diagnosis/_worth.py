@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from .._errors import InputError
@@ -12,7 +13,7 @@ from ..effects import CATALOGUE, AbstractEffect, ExchangedThrusters
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._amid import refine_fully
-from ._bands import banded
+from ._bands import ahead_of, banded, errors_of
 from ._explanation import Beginning, Member, Model
 from ._gain import LEAST, Candidate, gain, predictions, run_in_of, stride_of
 from ._prepare import opened_with
@@ -63,11 +64,23 @@ def gain_at_home(bench: Workbench, model: Model, dense: bool, terms: Sequence[Pl
 
     - `dense`: the file's coefficients were recalibrated.
     """
-    log = max(bench.data.logs, key=lambda log: log.duration)
+    logs = bench.data.logs
+    longest = max(range(len(logs)), key=lambda i: logs[i].duration)
     changed = bool(model.members or terms or dense)
-    if log.duration < LEAST or not changed:
+    if logs[longest].duration < LEAST or not changed:
         return 1.0
-    return measured_gain(bench, model, changed, terms, log)[0].ratio
+    found = bench.keeper.each(bench, _ratio_on, longest, model, changed, terms)
+    return next(ratio for ratio in found if ratio is not None)
+
+
+def _ratio_on(
+    bench: Workbench, number: int, model: Model, changed: bool, terms: Sequence[Placed]
+) -> float | None:
+    """The error over that of the file on the training log of a number, None where that lies elsewhere."""
+    own = number - bench.part.first
+    if not 0 <= own < len(bench.data.logs):
+        return None
+    return measured_gain(bench, model, changed, terms, bench.data.logs[own])[0].ratio
 
 
 def buys_nothing(gain: Gain, least: float) -> bool:
@@ -94,6 +107,18 @@ def with_band(
     bench: Workbench, model: Model, changed: bool, terms: Sequence[Placed], shown: Predictions
 ) -> Predictions:
     """Predictions of a test log with the band that the training logs tell."""
+    home = bench.keeper.each(bench, _errors_at_home, model, changed, terms, ahead_of(shown))
+    return banded(shown, [errors for part in home for errors in part])
+
+
+def _errors_at_home(
+    bench: Workbench,
+    model: Model,
+    changed: bool,
+    terms: Sequence[Placed],
+    ahead: Float[np.ndarray, " steps"],
+) -> list[Float[np.ndarray, "_ steps channels"]]:
+    """Those of predictions of the training logs that lie here, at times [s] after the starts."""
     home = []
     for log in bench.data.logs:
         if log.duration < LEAST:
@@ -101,8 +126,8 @@ def with_band(
         # Gaps and accidents may leave no stretch that is long enough.
         with contextlib.suppress(InputError):
             stride = stride_of(log, run_in_of(log, bench.data.length))
-            home.append(_predicted(bench, model, changed, terms, log, stride))
-    return banded(shown, home)
+            home.append(errors_of(_predicted(bench, model, changed, terms, log, stride), ahead))
+    return home
 
 
 def _predicted(

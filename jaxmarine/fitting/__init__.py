@@ -83,8 +83,11 @@ from ._linearise import (
 from ._linearise import (
     screening as screening,
 )
+from ._noise import median_noise as median_noise
 from ._noise import noise_of as noise_of
+from ._noise import noises_of as noises_of
 from ._noise import tell_missed as tell_missed
+from ._noise import widened as widened
 from ._review import reviewed as reviewed
 from ._rollout import (
     Problem as Problem,
@@ -102,8 +105,10 @@ from ._rollout import (
     wrapped as wrapped,
 )
 from ._shares import AbstractShares as AbstractShares
+from ._shares import Kept as Kept
 from ._shares import Share as Share
 from ._shares import Shares as Shares
+from ._shares import refine_shares as refine_shares
 from ._solver import (
     LEAST_DAMPING as LEAST_DAMPING,
 )

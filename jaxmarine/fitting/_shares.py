@@ -1,5 +1,7 @@
 """A fit of logs that lie in several places: each keeps its own, and what the solver asks for is summed there.
 
+A diagnosis asks questions of its own (`Share.answer`), and steps by the same loop (`refine_shares`).
+
 What travels is the step of the parameters one way, and the gradient, the information and a few sums of each
 share the other; at the end the gradient and information of every window, by which errors are judged. The
 solver is that of one process, its loop written out, and comes to the same within rounding.
@@ -7,8 +9,9 @@ solver is that of one process, its loop written out, and comes to the same withi
 
 import abc
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -59,15 +62,33 @@ def _followed(found: Statistics, d_z, damping):
     return followed(found, softened(found, damping), d_z)
 
 
+_NUMBERS = itertools.count()
+
+
+class Kept:
+    """Something that each share keeps for a caller, who holds no more of it than its number."""
+
+    def __init__(self):
+        self.number = next(_NUMBERS)
+
+
 class Share:
     """Some of the logs of a fit, in order of time, with the initial states of their windows.
 
     Its methods are the questions of a solver; what they return is all that leaves the place where it lies.
+
+    - `given`: the logs as they were given; `logs`: these, `reviewed`.
+    - `kept`: what questions of others (`answer`) keep here, by the numbers of `Kept`.
     """
 
     def __init__(self, vehicle: Vehicle, logs: Sequence[Log]):
-        self.vehicle = vehicle
+        self.vehicle, self.given = vehicle, tuple(logs)
         self.logs, self.notes = reviewed(vehicle, logs)
+        self.kept: dict[int, Any] = {}
+
+    def answer(self, question: Callable[..., Any], *given: Any) -> Any:
+        """The answer to a question that is not of a fit: a function of this share and of what is given."""
+        return question(self, *given)
 
     def look(self) -> dict[str, Any]:
         """Names, sampling [s] and noise [logs, channels] of the logs, and what is to be noted of them."""
@@ -98,14 +119,14 @@ class Share:
 
     def weigh(self, factor: np.ndarray, dt: float) -> None:
         """Weighs the channels anew."""
-        self.weighed = self.task.weighed(scaled(self.own, factor, dt))
+        self.take(self.task.weighed(scaled(self.own, factor, dt)), self.delta)
+
+    def take(self, task: Task, delta: Float[Array, "windows 12"]) -> None:
+        """Takes up a task that is to be solved next, from these initial states."""
+        self.weighed, self.delta, self.tried = task, delta, delta
 
     def cost(self, z: np.ndarray) -> tuple[float, bool]:
-        """The chi-square at z, and whether a step can start there; the windows stay as they are."""
-        self.tried = self.delta
-        return self._tried(z)
-
-    def _tried(self, z: np.ndarray) -> tuple[float, bool]:
+        """The chi-square at z and the initial states that are tried, and whether a step can start there."""
         self.stats_tried = _linearised(self.weighed, jnp.asarray(z), self.tried)
         found = self.stats_tried
         usable = jnp.isfinite(found.h_zz).all() & jnp.isfinite(found.h_xx).all()
@@ -118,11 +139,11 @@ class Share:
         g, h = _sums(self.stats, jnp.asarray(damping))
         return np.asarray(g), np.asarray(h)
 
-    def step(self, z: np.ndarray, d_z: np.ndarray, damping: float) -> tuple[float, float, bool]:
-        """Tries a step: the decrease that it promises without prior, and `cost` after it."""
+    def step(self, d_z: np.ndarray, damping: float) -> float:
+        """Steps as far as a step of z asks for, to be tried; the decrease that it promises without prior."""
         d_x, decrease = _followed(self.stats, jnp.asarray(d_z), jnp.asarray(damping))
         self.tried = self.delta + d_x
-        return float(decrease), *self._tried(z)
+        return float(decrease)
 
     def left(self, z: np.ndarray) -> np.ndarray:
         """Products of what the model leaves, by lag [steps, 2, channels]."""
@@ -234,24 +255,40 @@ def _solved(
         last = last or weighings == WEIGHINGS
         shares.ask("weigh", factor, dt)
         how = (max_steps, FINE) if last else (min(ROUGH_STEPS, max_steps), ROUGH)
-        z, cost, more, converged = _refined(shares, units.precision, z, *how)
-        steps += more
+        ended = refine_shares(shares, units.precision, z, *how)
+        z, steps = ended.z, steps + ended.steps
         products = np.sum(shares.ask("left", z), axis=0)
-        if last or not np.isfinite(cost):
+        if last or not np.isfinite(ended.cost):
             break
         before, factor = factor, overdispersion_of(lambda lag: products[lag], length, most)  # noqa: B023
         last = settled(before, factor) or steps >= max_steps
-    return _estimate(freed, units, shares, counts, z, cost, products, factor, steps, converged)
+    return _estimate(freed, units, shares, counts, ended, products, factor, steps)
 
 
-def _refined(
-    shares: AbstractShares, precision: np.ndarray, z: np.ndarray, limit: int, rtol: float
-) -> tuple[np.ndarray, float, int, bool]:
-    """z, cost, steps and whether it converged: the loop of `DampedGaussNewton`, shares asked at each step."""
-    trust, d_z, steps = Trust.start(LEAST_DAMPING), np.zeros_like(z), 0
-    tried = shares.ask("cost", z)
+class Ended(NamedTuple):
+    """Where a refinement over shares ended; `cost`, `promised`, `damping`: as of `Refined`."""
+
+    z: Float[np.ndarray, " z"]
+    cost: float
+    promised: float
+    damping: float
+    steps: int
+    converged: bool
+
+
+def refine_shares(
+    shares: AbstractShares,
+    precision: Float[np.ndarray, " z"],
+    z: Float[np.ndarray, " z"],
+    limit: int,
+    rtol: float,
+    damping: float = LEAST_DAMPING,
+) -> Ended:
+    """`refine_windows` of the tasks that shares have taken up: its loop, shares asked at each step."""
+    trust, d_z, steps = Trust.start(damping), np.zeros_like(z), 0
     while True:
         at, steps = z + d_z, steps + 1
+        tried = shares.ask("cost", at)
         chi2, usable = sum(one[0] for one in tried), all(one[1] for one in tried)
         cost = 0.5 * (chi2 + float(precision @ at**2))
         better, trust = trust.judged(jnp.asarray(cost if usable else np.inf))
@@ -260,16 +297,13 @@ def _refined(
         answers = shares.ask("sums", bool(better), damping)
         g, h = (jnp.asarray(np.sum(parts, axis=0)) for parts in zip(*answers, strict=True))
         d_z = np.asarray(step_of(g, h, jnp.asarray(precision), jnp.asarray(z), damping))
-        answers = shares.ask("step", z + d_z, d_z, damping)
-        tried = [one[1:] for one in answers]
         prior = (precision * z) @ d_z + 0.5 * d_z @ (precision * d_z)
-        decrease = sum(one[0] for one in answers) - float(prior)
+        decrease = sum(shares.ask("step", d_z, damping)) - float(prior)
         trust = trust.promised(jnp.asarray(decrease))
-        small = 2 * decrease < worth_of(rtol, float(trust.cost))
-        if small or not np.isfinite(decrease) or damping > LOST:
-            return z, float(trust.cost), steps, True
-        if steps >= limit:
-            return z, float(trust.cost), steps, False
+        cost = float(trust.cost)
+        ended = 2 * decrease < worth_of(rtol, cost) or not np.isfinite(decrease) or damping > LOST
+        if ended or steps >= limit:
+            return Ended(z, cost, decrease, damping, steps, ended)
 
 
 def _estimate(
@@ -277,17 +311,16 @@ def _estimate(
     units: Units,
     shares: AbstractShares,
     counts: Sequence[int],
-    z: np.ndarray,
-    cost: float,
+    ended: Ended,
     products: np.ndarray,
     factor: np.ndarray,
     steps: int,
-    converged: bool,
 ) -> Estimate:
+    z, converged = ended.z, ended.converged
     begins = np.cumsum([0, *counts[:-1]]).tolist()
     ends = shares.ask("end", z, each=[(begin, sum(counts)) for begin in begins])
     seen, square = products[0]
-    finite = bool(np.isfinite(cost))
+    finite = bool(np.isfinite(ended.cost))
     return Estimate(
         z=z,
         raw=np.asarray(freed.start) + units.map @ z,

@@ -1,4 +1,4 @@
-"""Logs that lie on workers, for a fit that leaves them there."""
+"""Logs that lie on workers, for a fit and a diagnosis that leave them there."""
 
 import contextlib
 import itertools
@@ -32,18 +32,19 @@ class _Remote(AbstractShares):
 def shared(
     vehicle: Vehicle, logs: Sequence[str], *, scheduler: str | None = None, workers: int | None = None
 ) -> Iterator[AbstractShares]:
-    """Logs dealt out to workers, each of which reads its own, for `jaxmarine.fit`:
+    """Logs dealt out to workers, each of which reads its own, for `jaxmarine.fit` and `jaxmarine.diagnose`:
 
         with jm.fleets.shared(vehicle, paths) as logs:
             fit = jm.fit(vehicle, logs, free=...)
+            diagnosis = jm.diagnose(vehicle, logs, test)
 
-    Statistics are summed on the workers; gradients and information travel. The fit is that of one process
-    within rounding.
+    Statistics are summed on the workers; gradients and information travel. Fit and diagnosis are those of one
+    process within rounding.
 
     - `logs`: paths or URLs that the workers see, in order of time.
     - `scheduler`, `workers`: as of `fleet`.
 
-    Raises `InputError` for a log that cannot be used; where a worker is lost, the fit is to be made again.
+    Raises `InputError` for a log that cannot be used; where a worker is lost, all is to be made again.
     """
     # Actors speak by the client that is the current one.
     with client_of(scheduler, workers) as client, client.as_current():

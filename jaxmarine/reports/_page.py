@@ -111,7 +111,7 @@ def page(diagnosis: Diagnosis) -> str:
             notes=[note for note in diagnosis.notes if note not in diagnosis.warnings],
             dropped=[(title(one.label, diagnosis.catalogue), one.reason) for one in diagnosis.dropped],
             horizon=number(diagnosis.gain.horizon),
-            told=[_told(axis) for axis in diagnosis.check.axes],
+            told=[_told(axis) for axis in (diagnosis.check.axes if diagnosis.check else ())],
             done=_done(diagnosis),
         )
     )
