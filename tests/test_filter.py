@@ -331,7 +331,7 @@ def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
     without[step] -= acts[:, knot]
     on = bench.on((dataclasses.replace(log, wrench=without),))
     spoilt = on.likeliest(dataclasses.replace(model, cost=np.inf))
-    again, lost = on.beside_wrench(spoilt, acts)
+    again, lost = on.beside_wrench(spoilt, np.zeros(len(spoilt.z)), acts)
     assert float(spoilt.beside.force.size[0]) > 1.5 * float(model.beside.force.size[0])
     assert np.asarray(again.beside.force.size) == pytest.approx(np.asarray(model.beside.force.size), rel=0.1)
     # Without the wrench the log asks for the larger one.

@@ -74,7 +74,8 @@ def diagnose(
 
     Raises `InputError` where the logs are too short, too slowly sampled or without motion, where the vehicle
     runs away along them, where no test log measures what they measure, where the craft can have none of the
-    suspected effects, and where these have more parameters or begin at more times than there is room for;
+    suspected effects, and where these have more parameters or begin at more times than there is room for; of
+    shares also for what is answered in one process alone (`_shared.opened_over`);
     `ValueError` in single precision.
     """
     need_double("A diagnosis")
@@ -211,7 +212,8 @@ def _chosen(
     several = len(model.members) > 1 and not now.white
     if several and rival.likelier(nats_of(bench, now, ()), now.phi):
         return _without_names(bench, rival, model, dropped, UNNAMED), rounds
-    answer = with_unknown(bench, now, dense, progress, lambda: rival.answer.unknown)
+    followed = (lambda: rival.answer.unknown) if dense else tuple
+    answer = with_unknown(bench, now, dense, progress, followed)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     if not answer.changed or answer.judged.white:
@@ -339,7 +341,7 @@ def _unexplained(
             since=None,
             since_log=None,
             parameters={},
-            log_evidence=0.5 * one.saved / now.plain_phi,
+            log_evidence=0.5 * one.saved / (now.plain_phi if now.disturbance is None else 1.0),
             signals=one.signals,
             learned=one.dof in {term.target for term in terms},
         )

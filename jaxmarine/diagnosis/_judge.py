@@ -6,7 +6,7 @@ import numpy as np
 
 from ..fitting import Disturbance
 from ._explanation import Model
-from ._knots import Amid, Knots, knots
+from ._knots import Knots, KnotsBeside, knots
 from ._score import Reduced
 from ._search import dispersion
 from ._workbench import Workbench
@@ -37,7 +37,7 @@ class Judged:
     @property
     def disturbance(self) -> Disturbance | None:
         """Beside which it stands, and what else is unknown."""
-        return self.left.disturbance if isinstance(self.left, Amid) else None
+        return self.left.disturbance if isinstance(self.left, KnotsBeside) else None
 
 
 def judged(bench: Workbench, model: Model) -> Judged:

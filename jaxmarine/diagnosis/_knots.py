@@ -57,8 +57,11 @@ class Knots:
         g, h = totals(self.stats.each(_summed, self.width, along=(values,)))
         return g, h
 
-    def where(self, wrench: Float[np.ndarray, "windows knots 6"]) -> "Knots":
-        """Amid the disturbance that suits the logs where a wrench acts, which had stood in for it, if any."""
+    def where(self, step: Float[np.ndarray, " z"], wrench: Float[np.ndarray, "windows knots 6"]) -> "Knots":
+        """Beside the disturbance that suits the logs where a wrench acts, which had stood in for it, if any.
+
+        - `step`: of z that goes with the wrench; z is left as it is.
+        """
         return self
 
     def beside(self, values: Float[np.ndarray, "windows knots 6 features"], share: float) -> "Knots":
@@ -104,10 +107,11 @@ def _pushed(
 
 
 @dataclasses.dataclass(frozen=True)
-class Amid(Knots):
+class KnotsBeside(Knots):
     """Knots beside a model's disturbance, which remembers for longer than a window what pushed in it.
 
-    So wrenches are summed over all windows at once, each given all before it, and not by `stats`.
+    So wrenches are summed over all windows at once, each given all before it, and not by `stats`, which are
+    those beside the disturbance that was estimated first.
     """
 
     bench: Workbench
@@ -121,20 +125,22 @@ class Amid(Knots):
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
         return self.bench.with_shapes(self.model, values)
 
-    def where(self, wrench: Float[np.ndarray, "windows knots 6"]) -> "Amid":
-        model, lost = self.bench.beside_wrench(self.model, wrench)
+    def where(
+        self, step: Float[np.ndarray, " z"], wrench: Float[np.ndarray, "windows knots 6"]
+    ) -> "KnotsBeside":
+        model, lost = self.bench.beside_wrench(self.model, step, wrench)
         return dataclasses.replace(self, model=model, lost=self.lost + lost)
 
 
 def knots(bench: Workbench, model: Model) -> Knots:
-    """The knots' statistics at a model; `Amid` its disturbance, where it has one."""
+    """The knots' statistics at a model, beside its disturbance, where it has one."""
     known, precision, offset = bench.known(model)
     # Forces on the hull depend on the velocity through the water, where that is known to move.
     places = bench.places
     signals = places.through_water(bench.water(model), places.signals)
     places = dataclasses.replace(places, signals=signals)
     own = bench.with_knots(model), known.shape[1], precision, offset, bench.vehicle.free, places
-    return Knots(*own) if model.beside is None else Amid(*own, bench, model)
+    return Knots(*own) if model.beside is None else KnotsBeside(*own, bench, model)
 
 
 def missing_wrench(k: Knots) -> MissingWrench:

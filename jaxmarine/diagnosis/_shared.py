@@ -49,7 +49,7 @@ from ._prepare import (
 )
 from ._saturated import saturate
 from ._score import AbstractStatistics, Reduced
-from ._workbench import Workbench, same_log
+from ._workbench import SPARSEST, Workbench, same_log
 
 Result = TypeVar("Result")
 
@@ -225,6 +225,12 @@ def _workbench(
     parts = desk.ask(_cut_up, cuts)
     windows = [len(part.log) for part in parts]
     enough(logs, sum(windows), length)
+    short = next((look for look, count in zip(looks, windows, strict=True) if count < SPARSEST), None)
+    if short is not None:
+        raise InputError(
+            f"{_several([one.name for one in short.logs])}: gives fewer than {SPARSEST} windows on its "
+            "worker; use fewer workers, so that each has more of the logs."
+        )
     firsts, befores = (
         np.cumsum([0, *counts])[:-1].tolist() for counts in ([len(one.logs) for one in looks], windows)
     )
@@ -244,10 +250,14 @@ def _workbench(
         for first, before, look in zip(firsts, befores, looks, strict=True)
     ]
     split = substeps(vehicle, outline.hold, speeds_of([look.fastest for look in looks]))
-    given = vehicle, tuple(catalogue), noise, split, criteria
+    given = vehicle, tuple(catalogue), noise, split, criteria, outline.hold
     there = OnShares(desk, desk.keep(_bench, cuts, *given, each=own))
     families, layout = saturate(vehicle, catalogue)
     return roomy(Workbench(vehicle, families, layout, outline, noise, split, criteria=criteria, keeper=there))
+
+
+# Numbers of what shares need not keep any more, until they are asked the next time.
+_GONE = weakref.WeakKeyDictionary[AbstractShares, collections.deque[int]]()
 
 
 class _Desk:
@@ -255,7 +265,8 @@ class _Desk:
 
     def __init__(self, shares: AbstractShares):
         self.shares = shares
-        self._gone = collections.deque[int]()
+        # Of a diagnosis before this one too, which asks no more.
+        self._gone = _GONE.setdefault(shares, collections.deque[int]())
 
     def ask(
         self, of: Callable[..., Any], *given: Any, each: Sequence[tuple[Any, ...]] | None = None
@@ -458,10 +469,13 @@ def _bench(
     noise: Float[np.ndarray, " channels"],
     split: int,
     criteria: Criteria,
+    hold: float,
     part: Part,
 ) -> Workbench:
+    """`hold` [s]: the longest of all logs, by whose steps all are predicted."""
     del share
     families, layout = saturate(vehicle, catalogue)
+    data = dataclasses.replace(data, hold=hold)
     return Workbench(vehicle, families, layout, data, noise, split, criteria=criteria, part=part)
 
 

@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -46,7 +46,8 @@ UNPULLED = 1e6
 class Dependence:
     """A missing wrench on one axis as a function of signals.
 
-    - `saved`: chi-square saved on left-out windows; `tied`: signals that would do as well as one of those
+    - `saved`: chi-square saved on left-out windows; beside a disturbance twice the nats by which it makes the
+      logs likelier (`likely`). `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
     - `features`: the regressors' values at the knots, none where only the size of the wrench goes with the
       signals; `remembers`: it hangs on the past of a command, since without the plays it saves less than
@@ -471,14 +472,23 @@ def likely(
     Shapes are those of the knot before: within a knot a command already answers the force that acts in it.
     """
     accepted: tuple[Dependence, ...] = ()
-    least = nats_beside(k, accepted, 1.0) + criteria.nats
+    before = nats_beside(k, accepted, 1.0)
     for one in found:
+        if one.axis in {other.axis for other in accepted}:
+            continue
         shapes = lagged(k, (*accepted, one))
-        ways = [k, k.where(_likeliest(k, shapes))]
-        nats = [nats_beside(way, shapes, 1.0) for way in ways]
-        best = int(np.argmax(nats))
-        if nats[best] > least:
-            accepted, k, least = (*accepted, one), ways[best], nats[best] + criteria.nats
+        first = _integrated(k, shapes, 1.0)
+        ways = [(k, first)]
+        if (other := k.where(first.step, _normalised(k, shapes) @ first.sizes)) is not k:
+            again = _integrated(other, shapes, 1.0)
+            # A smaller disturbance narrows z by more, over which all is integrated.
+            narrower = 0.5 * (again.narrowed - first.narrowed)
+            ways.append((dataclasses.replace(other, lost=other.lost + narrower), again))
+        nats = np.nan_to_num([found.nats - way.lost for way, found in ways], nan=-np.inf)
+        gained = float(nats.max()) - before
+        if gained > criteria.nats:
+            accepted = (*accepted, dataclasses.replace(one, saved=2 * gained))
+            k, before = ways[int(nats.argmax())][0], before + gained
     return accepted, k
 
 
@@ -491,13 +501,25 @@ def nats_beside(k: Knots, found: tuple[Dependence, ...], phi: float) -> float:
     - `phi`: dispersion of the scores, by which all that is gained counts less.
     """
     found = tuple(one for one in found if not one.size_only)
-    nats, _, _ = _integrated(k, found, phi)
+    nats = _integrated(k, found, phi).nats
     # Beside nothing it is that of the disturbance which suits the logs without any.
     return nats - k.lost / phi if found else nats
 
 
-def _integrated(k: Knots, found: tuple[Dependence, ...], phi: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Nats that some dependences gain; gradient and information of z and of their shapes, as pulled."""
+class _Integrated(NamedTuple):
+    """What some dependences are worth, their coefficients integrated out.
+
+    - `nats` that they gain; `step` of z and `sizes` of their shapes at which the logs are likeliest.
+    - `narrowed`: logarithm of the determinant of the information of z with its prior.
+    """
+
+    nats: float
+    step: Float[np.ndarray, " z"]
+    sizes: Float[np.ndarray, " shapes"]
+    narrowed: float
+
+
+def _integrated(k: Knots, found: tuple[Dependence, ...], phi: float) -> _Integrated:
     g, h = _beside_shapes(k, found)
     rest = np.arange(k.width)
     nats = 0.5 * g[rest] @ solve(h[np.ix_(rest, rest)], g[rest]) / phi
@@ -509,13 +531,9 @@ def _integrated(k: Knots, found: tuple[Dependence, ...], phi: float) -> tuple[fl
         nats += gained - tried_nats(k)
         h[own, own] += phi * pull
         rest, first = np.append(rest, own), own[-1] + 1
-    return float(nats), g, h
-
-
-def _likeliest(k: Knots, found: tuple[Dependence, ...]) -> Float[np.ndarray, "windows knots 6"]:
-    """The wrench that dependences are likeliest to be."""
-    _, g, h = _integrated(k, found, 1.0)
-    return _normalised(k, found) @ -solve(h, g)[k.width :]
+    best = -solve(h, g)
+    narrowed = float(np.linalg.slogdet(h[: k.width, : k.width])[1]) if k.width else 0.0
+    return _Integrated(float(nats), best[: k.width], best[k.width :], narrowed)
 
 
 def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -70,8 +70,8 @@ def with_unknown(
 ) -> Answer:
     """What the residual depends on, and the model without members that only stood in for that.
 
-    - `of_file`: what the file alone depends on, which is tried beside a disturbance too: a file that was
-      refitted has followed that, and little of it is left to see.
+    - `of_file`: of a file that was refitted what it depends on as filed, which is tried beside a disturbance
+      too: the refit has followed that, and little of it is left to see.
     """
     dropped: tuple[Dropped, ...] = ()
     while not now.white:

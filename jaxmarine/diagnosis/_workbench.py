@@ -632,6 +632,7 @@ class Workbench:
 
     def on(self, logs: Sequence[Log]) -> "Workbench":
         """The same with other logs, whose programs are those of its own where there is room."""
+        assert isinstance(self.data, Cut)
         data = cut(self.vehicle, logs, self.noise, self.data.length)
         return self._like(data=data, part=None, room=self.room)
 
@@ -834,16 +835,20 @@ class Workbench:
         return g[kept], np.asarray(found.h)[0][kept[:, None], kept]
 
     def beside_wrench(
-        self, model: Model, wrench: Float[np.ndarray, "windows knots 6"]
+        self,
+        model: Model,
+        step: Float[np.ndarray, " z"],
+        wrench: Float[np.ndarray, "windows knots 6"],
     ) -> tuple[Model, float]:
-        """The model beside the disturbance that suits the logs where a wrench acts at the knots as well.
+        """The model beside the disturbance that suits the logs after a step of z with a wrench at the knots.
 
-        And the nats by which they are less likely beside it where that wrench does not act.
+        And the nats by which they are less likely beside it as the model is, without either.
         """
         assert model.beside is not None
         beside, unit = model.beside, self.fine.unit
         problem, without = self.lines(model, beside)
-        spread, (_, affine) = start_spread(problem.start_precision), self.along(model)
+        spread = start_spread(problem.start_precision)
+        _, affine = self.along(dataclasses.replace(model, z=model.z + step))
         every = path_lines(problem, affine, beside.force, beside.path, self._of_parts(wrench))
         force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
         now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from .._errors import InputError
 from .._start import prepare
 from ..fitting import AbstractShares, Share
 from ..logs import read_logs
@@ -46,6 +47,8 @@ def shared(
 
     Raises `InputError` for a log that cannot be used; where a worker is lost, all is to be made again.
     """
+    if not logs:
+        raise InputError("There is no log to deal out to workers; give the path of at least one.")
     # Actors speak by the client that is the current one.
     with client_of(scheduler, workers) as client, client.as_current():
         addresses = list(client.nthreads())[: len(logs)]
