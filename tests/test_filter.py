@@ -229,6 +229,25 @@ def test_sizes_and_memories_are_found(disturbed):
     assert np.all(np.abs(np.log(np.asarray(force.time) / MEMORY)) < 1.0)
 
 
+def test_a_curvature_that_is_none_is_not_handed_on(disturbed, monkeypatch):
+    """As a line search that fails may leave it; from the one that is handed on a search can begin."""
+    bench, model = disturbed
+    search = _filter.optimize.minimize
+
+    def failed(*given, **options):
+        found = search(*given, **options)
+        found.hess_inv = np.diag([-1.0, *np.ones(len(found.x) - 1)])
+        return found
+
+    problem, every = bench.lines(model, model.beside)
+    given = _filter.start_spread(problem.start_precision), every, model.beside.force, bench.fine.unit
+    monkeypatch.setattr(_filter.optimize, "minimize", failed)
+    _, covariance, _ = _filter.estimated(*given, model.beside.covariance)
+    np.testing.assert_array_equal(covariance, model.beside.covariance)
+    monkeypatch.undo()
+    assert np.linalg.eigvalsh(_filter.estimated(*given, covariance)[1])[0] > 0
+
+
 def test_a_first_state_is_taken_back_to_its_changes():
     """Far from the guess about all axes, where they are not orthogonal: against NumPy's pseudo-inverse."""
     guess, far = initial_state(boat()), 0.3 * jnp.array([1.0, -1.0, 1.0]) / np.sqrt(3)

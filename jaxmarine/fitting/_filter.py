@@ -54,6 +54,8 @@ CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
+# Variance along a direction, in units of what was expected, that is taken for rounding.
+CURVED = 1e-10
 # Windows that are filtered side by side: one after another each would wait for single numbers.
 TOGETHER = 80
 # Windows that are held as linear systems at once at most: one with 150 columns takes 110 kB, and 250 kB more
@@ -728,7 +730,11 @@ def estimated(
     how = {"maxiter": STEPS, "gtol": np.sqrt(2 * ENOUGH), "norm": 2}
     best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", options=how)
     found = meaning.set(force, jnp.asarray(unit), jnp.asarray(begin + root @ best.x))
-    return found, root @ best.hess_inv @ root.T, float(best.fun)
+    learned = root @ best.hess_inv @ root.T
+    # A line search that fails, as over a likelihood that rounding makes rough, can leave a curvature that is
+    # none: no search could begin with it.
+    usable = np.isfinite(learned).all() and np.linalg.eigvalsh(best.hess_inv)[0] > CURVED
+    return found, learned if usable else covariance, float(best.fun)
 
 
 def with_swell(
