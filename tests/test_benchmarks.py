@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from experiments.benchmarks import _forms, fleet, levenberg_marquardt, precision
+from experiments.benchmarks import _forms, fleet, levenberg_marquardt, precision, shared
 from experiments.benchmarks._rounds import (
     Missing,
     Table,
@@ -22,7 +22,12 @@ from experiments.benchmarks._rounds import (
     compared,
     difference,
 )
+from jaxmarine.diagnosis import _workbench
+from jaxmarine.fitting import AbstractShares
 
+from .conftest import ROOT
+
+OWN_PAGE = "experiments/benchmarks/README.md"
 # Sums of products in another order: a thousand roundings, with room.
 ROUNDED = 1e-10
 # One Runge-Kutta step per hold of 0.1 s, in which the fastest mode (roll) turns by 0.3 rad: 0.3^5 / 120 each.
@@ -243,6 +248,93 @@ def test_on_paper_a_fleet_is_as_fast_as_what_holds_it_up():
     assert (hundred["held_by"], hundred["logs_per_second"]) == ("cores", pytest.approx(10.0))
     # A hundred tasks a second, where the network would give 125 logs and the cores a thousand.
     assert (many["held_by"], many["logs_per_second"]) == ("scheduler", pytest.approx(100.0))
+
+
+# --- logs on workers ----------------------------------------------------------------------------------
+
+
+class Echoes(AbstractShares):
+    """Two places that answer with what they were given."""
+
+    def ask(self, question, *given, each=None):
+        del question
+        return [(*given, *own) for own in each or [(), ()]]
+
+
+def test_what_travels_is_counted_at_every_place():
+    counted, long, short = shared.Counted(Echoes()), b"x" * 10_000, b"y" * 1000
+    assert counted.ask("cost", long) == [(long,), (long,)]
+    assert counted.ask("cost", each=[(long,), (short,)]) == [(long,), (short,)]
+    assert counted.ask("look") == [(), ()]
+    assert counted.asked == {"cost": 2, "look": 1}
+    # A pickle has some tens of bytes of its own.
+    for way in (counted.questions, counted.answers):
+        assert 31_000 < way["cost"] < 31_400 and 0 < way["look"] < 100
+    assert shared.by_step(counted.answers) == (counted.answers["cost"], counted.answers["look"])
+
+
+def test_a_question_of_a_diagnosis_is_called_after_the_innermost_function():
+    assert shared.kind_of("answer", (shared.off, [1], shared.line, 7, shared.bytes_of, 0.5)) == "bytes_of"
+    assert shared.kind_of("sums", (True, 0.1)) == "sums"
+
+
+def test_arrays_are_counted_once_and_as_large_as_they_lie_in_memory():
+    one, other = np.zeros(1000), jnp.zeros((10, 100))
+    point = fleet.Job("", "", "", (), (), (), "")
+    assert shared.bytes_of({"a": [one, one[:10], other, other], "b": ("text", 1.0, point)}) == 16_000
+    assert shared.bytes_of(np.broadcast_to(np.zeros(3), (1000, 3))) == 24
+
+
+def run_of(logs: int, memory: float, arrays: float) -> dict[str, Any]:
+    held = {"memory": {"read": 1.0, "judged": memory}, "arrays": {"screening": arrays, "places": arrays}}
+    return {"logs": logs, "windows": 75 * logs, **held}
+
+
+def test_on_paper_many_logs_take_what_each_takes():
+    runs = [run_of(2, 1.02e9, 1e6), run_of(10, 1.1e9, 38e6), run_of(4, 0.98e9, 2e6)]
+    assert shared.line(runs) == pytest.approx((1e9, 1e7))
+    # Of two places and four logs: steps as before, all else by 125 logs of each worker and a group for each.
+    answers = {"sums": 3_000_000, "cost": 1_000_000, "_looked": 800_000, "of_groups": 300_000}
+    paper = shared.on_paper({"placed": runs, "travelled": {"answers": answers, "places": 2, "logs": 4}})
+    # As from 4 logs to 10.
+    assert paper["memory"] == pytest.approx(1.1e9 + (125 - 10) * 2e7)
+    assert paper["answers"] == pytest.approx(2e6 + 125 * (2e5 + 1e3))
+    # Ten logs are screened by two windows in a row, in 38 groups each.
+    assert paper["asking"] == pytest.approx(1000 * (3.8e6 + 1e5))
+
+
+@pytest.mark.parametrize(("logs", "windows"), [(4, 75), (8, 75), (16, 75), (1000, 75), (1, 601), (2, 15)])
+def test_groups_on_paper_are_those_of_a_diagnosis(logs, windows):
+    groups = _workbench._grouped(np.repeat(np.arange(logs), windows), logs * windows)
+    assert shared.groups_of(logs, windows) == groups[-1] + 1
+
+
+@pytest.mark.slow
+def test_a_quick_diagnosis_over_places_is_counted(tmp_path):
+    found = ran("shared", tmp_path)
+    travel, runs = found["travelled"], found["placed"]
+    apart = travel["apart"]
+    assert apart["found"] == apart["in_one_process"] == ["thruster_gain:port"]
+    assert max(apart[name] for name in ("evidence", "size", "gain")) < 1e-6
+    assert travel["asked"]["cost"] == travel["asked"]["sums"] == travel["asked"]["step"] == travel["steps"]
+    # Gradient and information of a step in double precision, from both places.
+    assert travel["answers"]["sums"] > 2 * travel["steps"] * 8 * (44 + 44**2)
+    assert [run["logs"] for run in runs] == [1, 2]
+    # Of jax alone a process has some 0.2 GB.
+    assert all(run["memory"]["judged"] > 2e8 and min(run["arrays"].values()) > 0 for run in runs)
+
+
+def test_the_pages_have_the_numbers_of_logs_on_workers():
+    results = json.loads((shared.HERE / "results.json").read_text())
+    own, fleets = ((ROOT / page).read_text() for page in (OWN_PAGE, "docs/fleets.md"))
+    assert shared.memory_table(results) in own and shared.travel_table(results) in own
+    for page in (own, fleets):
+        assert "python -m experiments.benchmarks.shared" in page
+        for fact in shared.facts(results):
+            assert fact in " ".join(page.split()), fact
+    assert results["on_paper"] == shared.on_paper(results)
+    apart = results["travelled"]["apart"]
+    assert apart["found"] == apart["in_one_process"] == ["thruster_gain:port"]
 
 
 def test_without_a_compiler_c_is_skipped(monkeypatch):
