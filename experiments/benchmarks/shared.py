@@ -272,8 +272,8 @@ def facts(results: Mapping[str, Any]) -> list[str]:
     alike = found["found"] == found["in_one_process"]
     within = max(found.get(name, 0.0) for name in ("evidence", "size", "gain"))
     return [
-        f"{each / 1e6:.0f} MB for each log of {length:g} s beside {base / 1e9:.2f} GB for imports and programs "
-        f"({told}, {len(CATALOGUE)} kinds of causes)",
+        f"{each / 1e6:.0f} MB for each log of {length:g} s beside {base / 1e9:.2f} GB for imports and "
+        f"programs ({told}, {len(CATALOGUE)} kinds of causes)",
         f"each of {count} steps of refinements sends {steps / count / places / 1e3:.1f} kB from each place, "
         f"{steps / places / 1e6:.1f} MB from each in all",
         f"all else that is answered comes to {rest / logs / 1e6:.2f} MB for each log, "
