@@ -31,7 +31,16 @@ import jaxmarine as jm
 from experiments._study import program, write_results
 from experiments.blind import grading
 from experiments.blind_matrix import BLOCK, GROUPS, detectable, written
-from jaxmarine.diagnosis import Criteria, _coefficients, _diagnose, _prepare, _search, _settle, _unnamed
+from jaxmarine.diagnosis import (
+    Criteria,
+    _coefficients,
+    _diagnose,
+    _prepare,
+    _search,
+    _settle,
+    _shared,
+    _unnamed,
+)
 from jaxmarine.diagnosis._search import trial_of
 from jaxmarine.diagnosis._workbench import Workbench
 
@@ -173,7 +182,10 @@ def _other_model(args: tuple, out: Any) -> bool:
 MOVES = {
     "columns": Move(
         "columns are read otherwise where commands and answers show it",
-        ((_prepare, "misconnected", lambda *_: (), lambda _, out: len(out) > 0),),
+        (
+            (_prepare, "misconnected", lambda *_: (), lambda _, out: len(out) > 0),
+            (_shared, "misconnected", lambda *_: (), lambda _, out: len(out) > 0),
+        ),
     ),
     "beginning": Move(
         "a cause may begin within the log",
@@ -217,7 +229,7 @@ MOVES = {
     "unknown": Move(
         "forces without a name that depend on signals",
         (
-            (_unnamed, "_dependences", lambda *_: (), lambda _, out: len(out) > 0),
+            (_unnamed, "_dependences", lambda _, now, *__: (now, ()), lambda _, out: len(out[1]) > 0),
             (_unnamed, "size_only", lambda *_: (), lambda _, out: len(out) > 0),
         ),
     ),

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
 from experiments.what_decides import MOVES, VARIANTS, Spread, Watched, summary, table, watching, without
-from jaxmarine.diagnosis import Criteria, _settle
+from jaxmarine.diagnosis import Criteria, _settle, _unnamed
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._workbench import Workbench
 
@@ -97,6 +97,8 @@ def test_a_move_that_is_left_out_does_nothing_and_one_that_acts_is_told(monkeypa
     with without(MOVES["drop"]):
         assert _settle.pruned(None, "model") == "model"
     assert _settle.pruned is made
+    with without(MOVES["unknown"]):
+        assert _unnamed._dependences(None, "judged", None) == ("judged", ())
     # It returns the model that it was given where that has no members, and does nothing then.
     still = Model((), np.zeros(0), jnp.zeros((1, 12)), 0.0)
     with watching(MOVES) as acted:
