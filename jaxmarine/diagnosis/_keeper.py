@@ -62,11 +62,16 @@ class Outline:
             log=np.asarray(windows.log),
             starts=data.starts,
             steps=windows.step.shape[1],
-            seen=(np.asarray(windows.weight) > 0).sum(axis=(0, 1)),
+            seen=seen_of(np.asarray(windows.weight)),
             length=data.length,
             hold=data.hold,
             speeds=data.speeds,
         )
+
+
+def seen_of(weight: Float[np.ndarray, "windows steps channels"]) -> Int[np.ndarray, " channels"]:
+    """How many numbers of each channel were measured, by the weights of windows."""
+    return (weight > 0).sum(axis=(0, 1))
 
 
 class Reached(NamedTuple):

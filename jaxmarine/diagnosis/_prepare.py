@@ -117,9 +117,7 @@ def opened_with(
     logs = (train,) if isinstance(train, Log) else tuple(train)
     if not logs:
         raise InputError("A diagnosis needs at least one training log.")
-    tests = (test,) if isinstance(test, Log) else tuple(test)
-    if not tests:
-        raise InputError("A diagnosis needs at least one test log.")
+    tests = tests_of(test)
     every = alike((*logs, *tests))
     logs, tests = every[: len(logs)], every[len(logs) :]
     vehicle = supplied(vehicle, logs, tests, catalogue)
@@ -151,6 +149,14 @@ def opened_with(
         nameless=nameless,
         feedback=bool(answered),
     )
+
+
+def tests_of(test: Sequence[Log] | Log) -> tuple[Log, ...]:
+    """The test logs; refuses none."""
+    tests = (test,) if isinstance(test, Log) else tuple(test)
+    if not tests:
+        raise InputError("A diagnosis needs at least one test log.")
+    return tests
 
 
 def _exchanges(causes: Iterable[Placed]) -> tuple[Placed, ...]:

@@ -44,6 +44,7 @@ from ._prepare import (
     speeds_of,
     stuck,
     suspected,
+    tests_of,
     unstated,
     window_of,
 )
@@ -124,9 +125,7 @@ def opened_over(
     errors, sensors whose noise the vehicle does not state, a battery that its file lacks, test logs that are
     training logs, and logs of one name.
     """
-    tests = (test,) if isinstance(test, Log) else tuple(test)
-    if not tests:
-        raise InputError("A diagnosis needs at least one test log.")
+    tests = tests_of(test)
     desk = _Desk(shares)
     there = desk.keep(_reviewed, vehicle)
     looks: list[_Look] = desk.ask(_looked, there, vehicle, tests, tuple(catalogue))

@@ -56,7 +56,7 @@ from ._criteria import DEFAULT, Criteria
 from ._explanation import Beginning, Beside, Member, Model, Stretches
 from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
-from ._keeper import HERE, AbstractKeeper, Outline, Part
+from ._keeper import HERE, AbstractKeeper, Outline, Part, seen_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import AbstractStatistics, Reduced, joined
 from ._signals import PlacedAt, Places, largest_commands, placed_at, places
@@ -980,7 +980,7 @@ def as_some(few: Workbench, bench: Workbench, step: int, model: Model) -> Float[
 
 def seen_in(bench: Workbench, step: int) -> Int[np.ndarray, " channels"]:
     """How many numbers of each channel were measured in some of the windows (`Workbench.every`)."""
-    return Outline.of(bench.every(step).cut).seen
+    return seen_of(np.asarray(bench.cut.windows.weight)[bench.which(step)])
 
 
 def squares_along(
