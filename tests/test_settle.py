@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from jaxmarine.diagnosis import Criteria, Diagnosis, _coefficients, _diagnose, _settle, _unnamed
+from jaxmarine.diagnosis import Criteria, Diagnosis, _coefficients, _diagnose, _search, _settle, _unnamed
 from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import Coefficient
@@ -25,7 +25,7 @@ from jaxmarine.diagnosis._unknown import Dependence
 from jaxmarine.diagnosis._unnamed import Answer, Unnamed
 from jaxmarine.diagnosis._workbench import BEGUN, Sample, Workbench
 from jaxmarine.effects import LinearDamping
-from jaxmarine.fitting import Room, Segments
+from jaxmarine.fitting import Disturbance, Path, Room, Segments
 from jaxmarine.logs import Log
 from jaxmarine.networks import learned_wrench
 from tests.boats import boat
@@ -56,6 +56,13 @@ def a_log(samples: int) -> Log:
     """A sample a second, of nothing."""
     t = np.arange(float(samples))
     return Log(t, np.zeros((samples, 18)), None, np.zeros((samples, 6)), (), "test.csv")
+
+
+def usual() -> SimpleNamespace:
+    """A disturbance of the usual size in surge, along the path as measured."""
+    one, windows = jnp.ones(1), jnp.zeros(WINDOWS)
+    force = Disturbance(one, one, 0 * one, windows, windows > 0, (0,))
+    return SimpleNamespace(begin=force, path=Path.measured(WINDOWS, (0,)))
 
 
 class Bench(Workbench):
@@ -191,6 +198,30 @@ def test_the_best_that_is_sure_wins_a_round_and_not_what_a_few_windows_pull():
     won = _decided(bench, begun, trials)
     assert won is not None and won[0].accepted and won[0].trials[0].member == Member(5)
     assert _decided(bench, begun, trials[:1]) is None
+
+
+def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_the_file_and_the_usual_disturbance():
+    """Its prior has a standard deviation of a tenth, and odds of 150 to 1 are a bend by 3.17 of it."""
+    bench, fine = Bench(off(s4=0.3)), usual()
+    bench.fine = fine
+    member = bench.fit(4)
+    bent = [
+        dataclasses.replace(member, z=PRIOR * np.array([by, 0.0, 0.0, 0.0, 0.0]), cost=cost, weight=weight)
+        for by, cost, weight in (
+            (3.1, 0.0, 1.0),
+            (3.3, 3.0, 1.0),
+            (9.0, 2.0, 1.0),
+            (9.0, 1.0, 9.0),
+            (4.0, 4.0, 1.0),
+        )
+    ]
+    # The prior of the fourth weighs nine times as much.
+    bent[3] = dataclasses.replace(bent[3], z=3 * bent[0].z)
+    begun: list[Model] = []
+    bench.refine_each = lambda models, *how: begun.extend(models) or models
+    _search._afresh(bench, bent)
+    assert [one.cost for one in begun] == [np.inf] * 2 and all(not one.z[:BASE].any() for one in begun)
+    assert all(one.beside.force is fine.begin and one.beside.path is fine.path for one in begun)
 
 
 def test_of_two_members_that_say_the_same_one_stays():
@@ -477,6 +508,22 @@ def test_a_refitted_file_beside_unknown_dependences_is_asked_for_where_names_are
     monkeypatch.setattr(_unnamed, "nats_beside", lambda k, found, phi: 1000.0 * bool(k.precision.max() < 1e6))
     held = -0.5 * SIZE * (0.5**2 + 0.3**2)
     assert rival.likelier(held + 500.0, 1.0) and not rival.likelier(held + 500.0, 1.0, bends=False)
+
+
+def test_beside_a_disturbance_a_refit_counts_by_how_far_the_scores_scatter_where_it_was_linearised(
+    monkeypatch,
+):
+    """The answer's scatter as noise does, the file's four times as much: a quarter of 100 nats is gained."""
+    rival = rival_with()
+    disturbed: Any = object.__new__(Disturbance)
+    own = dataclasses.replace(rival.judged, phi=4.0)
+    rival.answer = dataclasses.replace(rival.answer, judged=own)
+    monkeypatch.setattr(_unnamed, "nats_beside", lambda k, found, phi: 100.0 / phi)
+    held = -0.5 * SIZE * (0.5**2 + 0.3**2)
+    for disturbance, gained in ((None, 100.0), (disturbed, 25.0)):
+        monkeypatch.setattr(Judged, "disturbance", disturbance)
+        for more, likelier in ((-0.1, True), (0.1, False)):
+            assert rival.likelier(held + gained + more, 1.0, bends=False) == likelier
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
-from ._amid import amid_more, hurried, price
+from ._amid import amid_more, disturbed, hurried, price
 from ._explanation import Beginning, Member, Model
 from ._fine import STRAIGHT
 from ._knots import knots, wave_start
@@ -356,8 +356,26 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     # What acts at once spoils more by beginning a second late than it saves.
     begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in begun]
     refitted = _refined_each(bench, begun, STEPS, 1)
+    refitted += _afresh(bench, refitted)
     trials = rest + [trial_of(model, one.members[-1], one) for one in refitted]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def _afresh(bench: Workbench, refitted: Sequence[Model]) -> list[Model]:
+    """The likeliest of some models whose file has bent far, from the file as it is and the usual disturbance.
+
+    Both had bent to what the suspect explains, and stand in its way.
+    """
+    bent = sorted((one for one in refitted if _bent_far(bench, one)), key=lambda one: one.cost)
+    begun = [disturbed(bench, bench.as_filed(one)) for one in bent[:AFRESH]]
+    return bench.refine_each(begun, 2 * STEPS, ROUGH, 1)
+
+
+def _bent_far(bench: Workbench, model: Model) -> bool:
+    """Whether the file's coefficients have bent by more than a finding must be worth."""
+    base = slice(0, len(bench.base))
+    _, precision, z = bench.known(model)
+    return bool(0.5 * precision[base] @ z[base] ** 2 > model.weight * bench.criteria.nats)
 
 
 def begun_at_best(bench: Workbench, model: Model, which: int, least: float, steps: int) -> Model:

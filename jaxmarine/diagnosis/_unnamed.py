@@ -221,21 +221,23 @@ def nats_of(
     - `phi`: dispersion of the scores, that of the model by default.
     """
     phi = now.phi if phi is None else phi
+    # Beside a disturbance scores scatter as their information says, or a linearisation promises too much.
+    by = phi if now.disturbance is None else max(phi, now.phi)
     ways = [now.model]
     if bends and now.model.frozen:
-        # Of this weight, so that the prior stays that of the file where all else counts a phi-th.
-        ways.append(dataclasses.replace(now.model, frozen=False, weight=phi))
-    return max(_nats_with(bench, now, way, unknown, phi) for way in ways)
+        # Of this weight, so that the prior stays that of the file where all else counts a part of it.
+        ways.append(dataclasses.replace(now.model, frozen=False, weight=by))
+    return max(_nats_with(bench, now, way, unknown, phi, by) for way in ways)
 
 
 def _nats_with(
-    bench: Workbench, now: Judged, way: Model, unknown: tuple[Dependence, ...], phi: float
+    bench: Workbench, now: Judged, way: Model, unknown: tuple[Dependence, ...], phi: float, by: float
 ) -> float:
     _, precision, _ = bench.known(way)
     missing = dataclasses.replace(now.left, precision=precision)
     # Beside a disturbance a command already answers, within a knot, the force that acts in it.
     found = unknown if way.beside is None else lagged(missing, unknown)
-    return nats(bench, way, now.stats, phi) + nats_beside(missing, found, phi)
+    return nats(bench, way, now.stats, phi) + nats_beside(missing, found, by)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:
