@@ -151,7 +151,7 @@ class Size:
     others: bool = True
 
 
-QUICK = Size(train=10.0, test=10.0, steps=15, others=False)
+QUICK = Size(train=10.0, test=10.0, steps=8, others=False)
 HERE = Path(__file__).parent / "sniper"
 
 
