@@ -16,6 +16,7 @@ from jaxmarine.effects import (
     LinearDamping,
     QuadraticDamping,
     SensorDelay,
+    SteadyCurrent,
     Suspect,
     ThrusterGain,
     place,
@@ -201,6 +202,32 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed():
     np.testing.assert_allclose(status.size, size[[0, 1, 5]], rtol=0.6)
     # Expected of a position that is measured to a centimetre or two.
     np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
+
+
+def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
+    """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all."""
+    catalogue, t = (SteadyCurrent, *SMALL), np.arange(200) * DT
+    drawn = RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=15.0).draw_current(t, 0)
+    steady = np.tile([0.1, -0.05, 0.0], (len(t), 1))
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    for water, named in ((drawn, ()), (steady, ("steady_current",))):
+        blank = Log(t, np.full((len(t), 18), np.nan), steps(len(t)), None, boat().thruster_names, "x")
+        clean = np.asarray(simulate(boat(), blank, initial_state(boat()), water=water).channels)
+        noisy = clean + noise * np.random.default_rng(0).normal(size=clean.shape)
+        watch = Watch(boat(), catalogue=catalogue)
+        told = [
+            one
+            for row in rows_of(Log(t, noisy, blank.commands, None, blank.command_names, "x"))
+            for one in watch.update(row)
+        ]
+        assert tuple(one.label for one in watch.named) == named
+        if not named:
+            # It is said all the same that something is wrong.
+            assert "cannot be told yet, steady_current, a current that wanders" in told[0]
+            continue
+        for part, true in (("north", 0.1), ("east", -0.05)):
+            value, std, _ = watch.named[0].parameters[part]
+            assert abs(value - true) < 4 * std
 
 
 def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, tmp_path):

@@ -25,6 +25,8 @@ from ._check import (
     sparkline as sparkline,
 )
 from ._feedback import answers as answers
+from ._filter import FLOW_MEMORY as FLOW_MEMORY
+from ._filter import USUAL_FLOW as USUAL_FLOW
 from ._filter import USUAL_MEMORY as USUAL_MEMORY
 from ._filter import USUAL_SIZE as USUAL_SIZE
 from ._filter import Disturbance as Disturbance

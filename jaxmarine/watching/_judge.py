@@ -18,6 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
+from ..effects import WaterEffect
+from ..fitting import unusual
 from ._evidence import Member, Sum
 from ._ledger import CHUNK, Account, Ledger
 from ._status import Name, moment_of
@@ -31,6 +33,7 @@ LEADS = 3.0
 # Rivals with a disturbance of their own each before one is named; those with this share of the best's nats.
 RIVALS, HOPEFUL = 3, 0.5
 DAY = 86400.0
+WANDERING = "a current that wanders"
 
 
 class Judge:
@@ -152,6 +155,8 @@ class Judge:
         nats, member, own = weighed[0]
         least = nats - Criteria().close
         close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > least]
+        if self._wandering(member, own, level) > least:
+            close.append(WANDERING)
         if close:
             both = (self.label(member.suspect), *close)
             if {*both} == {*self.undecided}:
@@ -182,6 +187,20 @@ class Judge:
         nats = ledger.nats(account, since, self.members)[suspect]
         b, best = best_beginning(since, nats + ledger.likelihood(account, since, self.members) - level)
         return best, since[b].t
+
+    def _wandering(self, member: Member, own: Account, level: float) -> float:
+        """Nats of a current that wanders, in the place of a member that is a steady one; -inf of all others.
+
+        Some memories long the two are alike. Its size and memory pay by their prior alone, as such rows tell
+        little of them. `own`: the account of the member; `level`: as of `_worth`.
+        """
+        ledger = self.ledger
+        effect = ledger.bench.layout.suspects[member.suspect].effect
+        if own.force.flows or not issubclass(effect, WaterEffect):
+            return -np.inf
+        other = ledger.wandering(own, self.members)
+        prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))
+        return ledger.likelihood(other, ledger.since(other), self.members) + prior - level
 
     def _possible(self, account: Account, member: Member) -> bool:
         """Whether a suspect, as estimated beside what is named, is in its effect's range, as in a diagnosis.

@@ -15,7 +15,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ..diagnosis import Criteria
-from ..fitting import Disturbance, Message, Windowed, count_of, estimated, nothing_known, with_current
+from ..effects import WaterEffect
+from ..fitting import (
+    FLOW_MEMORY,
+    USUAL_FLOW,
+    Disturbance,
+    Message,
+    Windowed,
+    count_of,
+    estimated,
+    nothing_known,
+    with_current,
+)
 from ._blocks import LONG, Begun, Bench, expected, passed, replayed
 from ._evidence import Member, Sum, Suspicions
 
@@ -26,7 +37,7 @@ KEPT = 24
 # Variance of the logarithms of sizes and memories before anything is known of them.
 UNLEARNED = 0.25
 # A disturbance, the covariance of its logarithms, and -2 log p (`fitting.estimated`).
-Estimated = tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"], float]
+Estimated = tuple[Disturbance, Float[np.ndarray, "_ _"], float]
 # Columns of z, and since when they act [s].
 Gate = tuple[tuple[int, ...], float]
 Says = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -135,6 +146,15 @@ class Ledger:
 
     def estimate(self, account: Account, members: Sequence[Member]) -> None:
         """Estimates the disturbance of the blocks that are held beside a model, and filters them anew."""
+        every, found = self._suit(account, members)
+        if not account.force.flows and {0, 1} & set(self.bench.axes):
+            amid = self._amid_current(account, members, every, found)
+            if amid is not None:
+                account.before = _widened(account.before, amid[0])
+                self._take(account, amid)
+
+    def _suit(self, account: Account, members: Sequence[Member]) -> tuple[Windowed, Estimated]:
+        """`estimate` without asking for a current; the blocks beside the model, and what was estimated."""
         bench = self.bench
         gates = self._gates(account, members)
         if gates != account.gates:
@@ -160,31 +180,60 @@ class Ledger:
             gap=jnp.asarray(gap),
             joined=jnp.asarray(joined),
         )
-        before = account.force
-        found = estimated(bench.spread, every, before, bench.unit, account.learned)
-        if not before.flows and {0, 1} & set(bench.axes):
-            found = self._amid_current(every, found)
+        found = estimated(bench.spread, every, account.force, bench.unit, account.learned)
+        self._take(account, found)
+        return every, found
+
+    def _take(self, account: Account, found: Estimated) -> None:
+        """Filters the blocks that are held beside what was estimated."""
         force, account.learned, _ = found
-        account.force = bench.force(force.size, force.time)
-        if account.force.states > before.states:
-            account.before = _widened(account.before, account.force)
+        account.force = self.bench.force(force.size, force.time)
         self._replay(account)
 
-    def _amid_current(self, every: Windowed, found: Estimated) -> Estimated:
-        """What was estimated, or with a current beside it where the blocks are likelier so.
+    def _amid_current(
+        self, account: Account, members: Sequence[Member], every: Windowed, found: Estimated
+    ) -> Estimated | None:
+        """What was estimated with a current beside it, None unless the blocks are likelier so.
 
-        By the odds of a name, its numbers paid for (Schwarz). It stays: what is steady is then named only if
-        the rows are likelier still.
+        By the odds of a name, its numbers paid for (Schwarz), and likelier than with a steady current by odds
+        at which the two are told apart. It stays: what is steady is then named only if the rows are likelier
+        still.
         """
-        bench, (force, _, worth) = self.bench, found
+        bench, (force, _, worth), criteria = self.bench, found, Criteria()
         wider = with_current(bench.spread, every, force, bench.unit)
         if wider is None:
-            return found
+            return None
         numbers = count_of(wider)
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(numbers))
         more = numbers - count_of(force)
-        needed = Criteria().nats + 0.5 * more * np.log(self.counts[: self.held].sum())
-        return amid if worth - amid[2] > 2 * needed else found
+        gained = 0.5 * (worth - amid[2] - more * np.log(self.counts[: self.held].sum()))
+        if gained < criteria.nats or gained < self._steady(account, members) + criteria.close:
+            return None
+        return amid
+
+    def _steady(self, account: Account, members: Sequence[Member]) -> float:
+        """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
+        suspects, taken = self.bench.layout.suspects, {one.suspect for one in members}
+        before, best = self.likelihood(account, self.since(account), members), -np.inf
+        for i, suspect in enumerate(suspects):
+            if i in taken or not issubclass(suspect.effect, WaterEffect):
+                continue
+            own, model = account.branched(), (*members, Member(i, -np.inf))
+            self._suit(own, model)
+            since = self.since(own)
+            price = 0.5 * self.suspicions.columns[i].shape[1] * np.log(since[0].seen)
+            best = max(best, self.likelihood(own, since, model) - before - float(price))
+        return best
+
+    def wandering(self, account: Account, members: Sequence[Member]) -> Account:
+        """Beside some members and a current that wanders; from an account beside one that is steady."""
+        size, time = account.force.size, account.force.time
+        force = self.bench.force(jnp.append(size, USUAL_FLOW.median), jnp.append(time, FLOW_MEMORY.median))
+        out = account.branched()
+        out.force, out.learned = force, UNLEARNED * np.eye(count_of(force))
+        out.before = _widened(account.before, force)
+        self.estimate(out, members)
+        return out
 
     def _acting(self, known: np.ndarray, members: Sequence[Member]) -> np.ndarray:
         """z of each block that is held: the file's coefficients, and members from their beginning on."""
