@@ -177,8 +177,8 @@ def planned(quick: bool) -> dict[str, Job]:
             water = calm[(i + j) % len(calm)]
             plan[f"delay_{j}{i}"] = "delay", (factor, 200 + 10 * i + j, steering, water)
         for k, water in enumerate(calm if quick else DISTURBANCES):
-            # Logs of calm water and gusts are watched before a fault as well.
-            for n in range(1 if water in calm else 3):
+            # Logs of calm water and gusts are watched before a fault as well; a current fools most.
+            for n in range(1 if water in calm else 5 if water == "current" else 3):
                 seed = 300 + 100 * n + 10 * k + j
                 plan[f"null_{j}{k}{n}"] = "null", (60.0 if quick else DURATION, seed, steering, water)
     return plan

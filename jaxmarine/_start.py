@@ -1,6 +1,7 @@
 """How a process of the package begins: in which precision, and with which compiled programs."""
 
 import os
+import warnings
 from pathlib import Path
 
 
@@ -8,6 +9,8 @@ def prepare() -> None:
     """Double precision, and compiled programs kept between runs: for commands and workers."""
     # The compiler warns of its own slowness after two minutes, in words that look like a failure.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    # A search for a disturbance's sizes that ends so goes on from where it ended.
+    warnings.filterwarnings("ignore", "The line search algorithm did not converge")
     import jax
 
     jax.config.update("jax_enable_x64", True)
