@@ -235,7 +235,10 @@ MOVES = {
     ),
     "disturbance": Move(
         "a disturbance in the model where commands answer what was measured",
-        ((_diagnose, "disturbed", lambda _, model: model, _other_model),),
+        (
+            (_diagnose, "disturbed", lambda _, model: model, _other_model),
+            (_search, "disturbed", lambda _, model: model, _other_model),
+        ),
     ),
     "worth": Move(
         "names are dropped that predict no better than the file, or than the model without them",
