@@ -30,7 +30,7 @@ from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from tests.boats import NOISE, boat, record, steps
 
-SMALL = (ThrusterGain, ConstantWrench, LinearDamping, QuadraticDamping)
+SMALL = (SteadyCurrent, ThrusterGain, ConstantWrench, LinearDamping, QuadraticDamping)
 WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
 
 
@@ -206,7 +206,7 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed():
 
 def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
     """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all."""
-    catalogue, t = (SteadyCurrent, *SMALL), np.arange(200) * DT
+    t = np.arange(200) * DT
     drawn = RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=15.0).draw_current(t, 0)
     steady = np.tile([0.1, -0.05, 0.0], (len(t), 1))
     noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
@@ -214,7 +214,7 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
         blank = Log(t, np.full((len(t), 18), np.nan), steps(len(t)), None, boat().thruster_names, "x")
         clean = np.asarray(simulate(boat(), blank, initial_state(boat()), water=water).channels)
         noisy = clean + noise * np.random.default_rng(0).normal(size=clean.shape)
-        watch = Watch(boat(), catalogue=catalogue)
+        watch = Watch(boat(), catalogue=SMALL)
         told = [
             one
             for row in rows_of(Log(t, noisy, blank.commands, None, blank.command_names, "x"))
