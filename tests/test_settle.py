@@ -205,22 +205,23 @@ def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_the_file_an
     bench, fine = Bench(off(s4=0.3)), usual()
     bench.fine = fine
     member = bench.fit(4)
+    # The prior of the fourth weighs nine times as much, which makes it bend no further. The last number tells
+    # which one it is.
     bent = [
-        dataclasses.replace(member, z=PRIOR * np.array([by, 0.0, 0.0, 0.0, 0.0]), cost=cost, weight=weight)
+        dataclasses.replace(member, z=np.array([PRIOR * by, 0.0, 0.0, 0.0, cost]), cost=cost, weight=weight)
         for by, cost, weight in (
             (3.1, 0.0, 1.0),
             (3.3, 3.0, 1.0),
             (9.0, 2.0, 1.0),
-            (9.0, 1.0, 9.0),
+            (3.1, 1.0, 9.0),
             (4.0, 4.0, 1.0),
         )
     ]
-    # The prior of the fourth weighs nine times as much.
-    bent[3] = dataclasses.replace(bent[3], z=3 * bent[0].z)
     begun: list[Model] = []
     bench.refine_each = lambda models, *how: begun.extend(models) or models
     _search._afresh(bench, bent)
-    assert [one.cost for one in begun] == [np.inf] * 2 and all(not one.z[:BASE].any() for one in begun)
+    assert [one.z[BASE] for one in begun] == [2.0, 3.0] and all(not one.z[:BASE].any() for one in begun)
+    assert all(one.cost == np.inf for one in begun)
     assert all(one.beside.force is fine.begin and one.beside.path is fine.path for one in begun)
 
 
