@@ -185,16 +185,23 @@ def test_a_thruster_that_grows_weak_is_named_with_its_time(watched):
     np.testing.assert_allclose(gain, [1.0, WEAK, 1.0], atol=0.03)
 
 
+def sailed(commands: np.ndarray, seed: int, **acting: np.ndarray) -> tuple[Log, np.ndarray]:
+    """A log of the boat under what acts on it besides, and its channels without noise."""
+    t = np.arange(len(commands)) * DT
+    blank = Log(t, np.full((len(t), 18), np.nan), commands, None, boat().thruster_names, "x")
+    clean = np.asarray(simulate(boat(), blank, initial_state(boat()), **acting).channels)
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    noisy = clean + noise * np.random.default_rng(seed).normal(size=clean.shape)
+    return dataclasses.replace(blank, channels=noisy), clean
+
+
 def test_nothing_is_named_of_a_boat_that_is_only_pushed():
     size = np.array([2.0, 2.0, 0.0, 0.0, 0.0, 0.5])
     t = np.arange(SAMPLES) * DT
     push = RandomWrench(size, np.full(6, 3.0)).draw(t, 5)
-    blank = Log(t, np.full((SAMPLES, 18), np.nan), steps(SAMPLES, 4), None, boat().thruster_names, "x")
-    clean = np.asarray(simulate(boat(), blank, initial_state(boat()), push=push).channels)
-    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
-    noisy = clean + noise * np.random.default_rng(6).normal(size=clean.shape)
+    log, clean = sailed(steps(SAMPLES, 4), 6, push=push)
     watch = Watch(boat(), catalogue=SMALL)
-    for row in rows_of(Log(t, noisy, blank.commands, None, blank.command_names, "x")):
+    for row in rows_of(log):
         watch.update(row)
     status = watch.status
     assert not status.named and not status.undecided and max(status.nats.values()) < status.bound
@@ -209,17 +216,10 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
     t = np.arange(200) * DT
     drawn = RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=15.0).draw_current(t, 0)
     steady = np.tile([0.1, -0.05, 0.0], (len(t), 1))
-    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
     for water, named in ((drawn, ()), (steady, ("steady_current",))):
-        blank = Log(t, np.full((len(t), 18), np.nan), steps(len(t)), None, boat().thruster_names, "x")
-        clean = np.asarray(simulate(boat(), blank, initial_state(boat()), water=water).channels)
-        noisy = clean + noise * np.random.default_rng(0).normal(size=clean.shape)
         watch = Watch(boat(), catalogue=SMALL)
-        told = [
-            one
-            for row in rows_of(Log(t, noisy, blank.commands, None, blank.command_names, "x"))
-            for one in watch.update(row)
-        ]
+        log, _ = sailed(steps(len(t)), 0, water=water)
+        told = [one for row in rows_of(log) for one in watch.update(row)]
         assert tuple(one.label for one in watch.named) == named
         if not named:
             # It is said all the same that something is wrong.
