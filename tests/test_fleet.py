@@ -401,10 +401,15 @@ def test_programs_are_let_go_where_memory_maps_run_out(monkeypatch):
     _work._let_go()
     # Each program holds some, which another diagnosis would add to.
     assert maps() <= many - 10
-    # And where memory does.
+    # And where memory does. What stays without programs is no reason to let them go again.
     compile_some()
     many = maps()
     monkeypatch.setattr(_work, "_MAPS", 10**9)
-    monkeypatch.setattr(_work, "_MEMORY", 0)
+    monkeypatch.setattr(_work, "_MEMORY", _work._memory() / 2)
+    monkeypatch.setattr(_work._STAYED, "memory", 0.0)
     _work._let_go()
     assert maps() <= many - 10
+    compile_some()
+    many = maps()
+    _work._let_go()
+    assert maps() > many - 10

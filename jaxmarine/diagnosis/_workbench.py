@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._compiled import compiled
 from .._errors import InputError, runaway
 from .._types import AXES, DOFS, POSES
-from ..effects import AbstractEffect, CoupledDamping, InflowLoss, Motion
+from ..effects import AbstractEffect, CoupledDamping, InflowLoss
 from ..fitting import (
     LEAST_DAMPING,
     Affine,
@@ -50,13 +50,13 @@ from ..fitting import (
     unusual,
 )
 from ..logs import Log
-from ..physics import damping
-from ..vehicle import Placed, Plant, Vehicle
+from ..vehicle import Placed, Vehicle
 from ._criteria import DEFAULT, Criteria
 from ._explanation import Beginning, Beside, Member, Model, Stretches
 from ._filed import base_coefficients, matrix_place
 from ._fine import Fine, parts_of
 from ._keeper import HERE, AbstractKeeper, Outline, Part, seen_of
+from ._possible import braked, braking_holds, of_a_craft, water_of
 from ._saturated import Layout, SaturatedPlant
 from ._score import AbstractStatistics, Reduced, joined
 from ._signals import PlacedAt, Places, largest_commands, placed_at, places
@@ -615,7 +615,7 @@ class Workbench:
         """Velocity of the water [m/s], where all that begins has begun."""
         last = len(self.stretches(model.members).passed) - 1
         theta, plant_of = self.theta(model)[last], self._plant_of(model.members)
-        return np.asarray(_water(plant_of, jnp.asarray(theta), jnp.asarray(last)))
+        return np.asarray(water_of(plant_of, jnp.asarray(theta), jnp.asarray(last)))
 
     @property
     def own_weight(self) -> Float[np.ndarray, "windows steps channels"]:
@@ -654,32 +654,13 @@ class Workbench:
         return float(np.nanmax(self.own_noise / self.noise))
 
     def sound(self, model: Model) -> bool:
-        """Whether all numbers mean something.
-
-        In their effects' ranges, no negative delays, lags and dead zones, no thrust that the flow turns round
-        at the logs' speeds, a positive definite mass, at most half of the vehicle's own mass more or less,
-        and on each axis, added mass included, a fifth to five times the inertia of the file.
-        """
+        """Whether all numbers mean something: in their effects' ranges, and such as a craft can have."""
         for member, where in zip(model.members, self.slices(model.members), strict=True):
             if not self.layout.plausible(member.suspect, model.z[where]):
                 return False
-        own = float(self.vehicle.body.matrix[0, 0])
         met = len(self.stretches(model.members).passed)
-        plant_of, theta = self._plant_of(model.members), jnp.asarray(self.theta(model))
-        bodies = _bodies(plant_of, theta, jnp.asarray(self._flow(model)))
-        for rigid, added, least in zip(*(np.asarray(one)[:met] for one in bodies), strict=True):
-            mass = rigid + added
-            if not np.isfinite(mass).all() or not 0.5 * own <= rigid[0, 0] <= 1.5 * own:
-                return False
-            free = np.flatnonzero(self.vehicle.free)
-            ratio = np.diag(mass)[free] / np.diag(np.asarray(self.vehicle.mass_matrix))[free]
-            if ratio.min() < 1 / 5 or ratio.max() > 5:
-                return False
-            if np.linalg.eigvalsh((0.5 * (mass + mass.T))[np.ix_(free, free)])[0] <= 0:
-                return False
-            if least < -1e-9:
-                return False
-        return True
+        theta = jnp.asarray(self.theta(model))
+        return of_a_craft(self.vehicle, self._plant_of(model.members), theta, self._flow(model), met)
 
     def _flow(self, model: Model) -> Float[np.ndarray, " thrusters"]:
         """Root mean square velocity along each thruster [m/s], where the model loses thrust by it.
@@ -703,8 +684,9 @@ class Workbench:
         """
         met, theta = len(self.stretches(model.members).passed), self.theta(model)
         speed = self.data.speeds
-        plant_of = self._plant_of(model.members)
-        braking = np.array(_braking(plant_of, jnp.asarray(theta), jnp.asarray(speed))[:met])
+        braking = np.array(
+            braked(self._plant_of(model.members), jnp.asarray(theta), jnp.asarray(speed))[:met]
+        )
         for c in self.base:
             if c.diagonal and c.kind != "added_mass":
                 usual = self.criteria.file_error * abs(c.value)
@@ -719,12 +701,7 @@ class Workbench:
         for suspect, columns in zip(self.layout.suspects, self.layout.columns, strict=True):
             if suspect.effect.filed == "damping.linear":
                 coupled[:, *matrix_place(suspect)] += theta[:met] @ columns[:, 0]
-        both = coupled + coupled.swapaxes(1, 2)
-        pairs = both**2 <= 4 * braking[:, :, None] * braking[:, None, :]
-        own = np.eye(6, dtype=bool)
-        holds = np.where(own, braking[:, :, None] >= 0, pairs).all(axis=0)
-        free = self.vehicle.free > 0
-        return holds | ~(free[:, None] & free)
+        return braking_holds(self.vehicle.free > 0, braking, coupled)
 
     def stands(self, model: Model, beside: Model) -> bool:
         """Whether a refit may stand: it ended, its numbers mean something, and its damping brakes.
@@ -1047,62 +1024,3 @@ def same_log(a: Log, b: Log) -> bool:
 @compiled
 def _screening(problem, affine, delta, knots: int, own, group, groups: int):
     return screening(problem, affine, delta, knots, own, group, groups)
-
-
-@compiled
-def _water(plant_of: Callable[..., Plant], theta: Float[Array, " slots"], segment) -> Float[Array, "3"]:
-    return plant_of(theta, segment).water
-
-
-@compiled
-def _braking(
-    plant_of: Callable[..., Plant],
-    theta: Float[Array, "segments slots"],
-    speed: Float[Array, "6"],
-) -> Float[Array, "segments 6"]:
-    """What each axis is braked by in each segment [N s/m, N m s]: the force over the speed, gear at rest.
-
-    - `speed` [m/s, rad/s]: ahead, and of each other axis beside going ahead. What comes late brakes as much
-      in the end.
-    """
-    size = jnp.maximum(speed, 1e-3)
-    ahead = jnp.eye(6)[0] * size[0]
-
-    def one(theta: Array, segment: Array) -> Array:
-        plant = plant_of(theta, segment)
-        still = jnp.zeros(plant.drive.lag.shape[-1])
-
-        def wrench(nu: Array) -> Array:
-            motion = Motion(jnp.zeros(3), jnp.eye(3), nu, nu, nu, jnp.zeros(()), still)
-            own = damping(plant.damping.linear, plant.damping.quadratic, nu)
-            return sum((effect(motion) for effect in plant.wrenches), plant.pushed(still, nu) - own)
-
-        beside = jax.vmap(wrench)(
-            jnp.concatenate([ahead[None] + jnp.diag(size), ahead[None] - jnp.diag(size)])
-        )
-        slopes = jnp.diagonal(beside[:6] - beside[6:]) / (2 * size)
-        surge = (wrench(ahead) - wrench(jnp.zeros(6)))[0] / size[0]
-        return -slopes.at[0].set(surge)
-
-    return jax.vmap(one)(theta, jnp.arange(len(theta)))
-
-
-@compiled
-def _bodies(
-    plant_of: Callable[..., Plant],
-    theta: Float[Array, "segments slots"],
-    along: Float[Array, " thrusters"],
-):
-    """Rigid and added mass in each segment, and the least of the thrusters' limits and zero.
-
-    - `along`: speed [m/s] along each thruster, at which the flow must leave some of its thrust.
-    """
-
-    def one(theta, segment):
-        plant = plant_of(theta, segment)
-        drive = plant.drive
-        left = 1.0 - drive.inflow[: len(along)] * along
-        limits = jnp.concatenate([drive.delay, drive.deadband, drive.lag, drive.saturation, left])
-        return plant.load.rigid, plant.load.added, jnp.min(limits, initial=0.0)
-
-    return jax.vmap(one)(theta, jnp.arange(len(theta)))

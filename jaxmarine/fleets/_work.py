@@ -1,6 +1,7 @@
 """The work of one worker: a log diagnosed, from its files to what is kept of it."""
 
 import ctypes
+import dataclasses
 import gc
 import os
 import tempfile
@@ -19,9 +20,10 @@ from ._paths import at_hand
 from ._rows import rows_of
 
 # Memory maps of a process from which on its compiled programs are let go: Linux gives a process 65530, and
-# one diagnosis adds a few thousand at most. And memory [bytes]: that of a worker with few classes of craft.
+# one diagnosis adds a few thousand at most. And memory [bytes] that has come since they were let go the last
+# time: what stays then is not theirs, and to let go for its sake, after each log, would win nothing.
 # Programs are kept on disk as well, and loaded again in a second or two.
-_MAPS, _MEMORY = 20_000, 2e9
+_MAPS, _MEMORY = 20_000, 1.5e9
 
 
 def diagnosed(job: Job) -> Outcome:
@@ -58,15 +60,26 @@ def _diagnosed(job: Job, folder: Path) -> Outcome:
     return Outcome(tuple(rows_of(result)), files)
 
 
+@dataclasses.dataclass
+class _Stayed:
+    """Memory that stays in a process without compiled programs [bytes]: at first that of its libraries."""
+
+    memory: float = 0.5e9
+
+
+_STAYED = _Stayed()
+
+
 def _let_go() -> None:
     """Gives free memory back, and lets compiled programs go where the process holds much all the same."""
     if not Path("/proc/self/maps").exists():
         return
     _trim()
-    if _maps() > _MAPS or _memory() > _MEMORY:
+    if _maps() > _MAPS or _memory() > _STAYED.memory + _MEMORY:
         let_go()
         gc.collect()
         _trim()
+        _STAYED.memory = _memory()
 
 
 def _maps() -> int:
