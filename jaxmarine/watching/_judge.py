@@ -18,7 +18,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
-from ..effects import WaterEffect
 from ..fitting import unusual
 from ._evidence import Member, Sum
 from ._ledger import CHUNK, Account, Ledger
@@ -195,8 +194,7 @@ class Judge:
         little of them. `own`: the account of the member; `level`: as of `_worth`.
         """
         ledger = self.ledger
-        effect = ledger.bench.layout.suspects[member.suspect].effect
-        if own.force.flows or not issubclass(effect, WaterEffect):
+        if own.force.flows or not ledger.is_current(member.suspect):
             return -np.inf
         other = ledger.wandering(own, self.members)
         prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))

@@ -213,17 +213,20 @@ class Ledger:
 
     def _steady(self, account: Account, members: Sequence[Member]) -> float:
         """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
-        suspects, taken = self.bench.layout.suspects, {one.suspect for one in members}
         before, best = self.likelihood(account, self.since(account), members), -np.inf
-        for i, suspect in enumerate(suspects):
-            if i in taken or not issubclass(suspect.effect, WaterEffect):
-                continue
-            own, model = account.branched(), (*members, Member(i, -np.inf))
-            self._suit(own, model)
-            since = self.since(own)
-            price = 0.5 * self.suspicions.columns[i].shape[1] * np.log(since[0].seen)
-            best = max(best, self.likelihood(own, since, model) - before - float(price))
+        taken = {one.suspect for one in members}
+        for i in filter(self.is_current, range(len(self.bench.layout.suspects))):
+            if i not in taken:
+                own = account.branched()
+                self._suit(own, (*members, Member(i, -np.inf)))
+                since = self.since(own)
+                nats = self.nats(own, since, members)[i, 0]
+                best = max(best, self.likelihood(own, since, members) - before + float(nats))
         return best
+
+    def is_current(self, suspect: int) -> bool:
+        """Whether a suspect is water that moves."""
+        return issubclass(self.bench.layout.suspects[suspect].effect, WaterEffect)
 
     def wandering(self, account: Account, members: Sequence[Member]) -> Account:
         """Beside some members and a current that wanders; from an account beside one that is steady."""
