@@ -470,6 +470,13 @@ def test_what_cannot_be_free_is_said(free, options, says: str):
         set_free(boat(), free, **options)
 
 
+@pytest.mark.parametrize("leaf", ["max_thrust", "max_thrust_reverse", "quadratic"])
+def test_a_craft_without_thrusters_has_none_to_free(leaf: str):
+    torpedo = packaged("remus100")
+    with pytest.raises(ValueError, match="nothing free: what it names is empty"):
+        set_free(torpedo, lambda v: getattr(v.thrusters, leaf), 0.3)
+
+
 @pytest.mark.parametrize(
     ("free", "options", "says"),
     [

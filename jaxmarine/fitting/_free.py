@@ -9,7 +9,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -284,81 +284,130 @@ def set_free(
         raise ValueError("Free `added_mass` or `body.matrix`: a log shows only their sum.")
     stds = stated_widths(prior, [leaves[place] for place in places], free, vehicle)
     number = float(prior) if isinstance(prior, float | int) else None
-    parts, sizes, widths, known = [], [], [], []
-    fitted = [i for i, place in enumerate(places) if place not in without]
+    fitted = [i for i, place in enumerate(places) if place not in without and np.size(leaves[place])]
+    found = []
     for place, path, name, std in ((places[i], paths[i], names[i], stds[i]) for i in fitted):
-        leaf, held = leaves[place], std == 0.0
         stated = spreads.get(_section(vehicle, path, name)) if prior is None or number is not None else None
-        wide = number if stated is None else stated
-        # A width relative to a number is one of its logarithm.
-        relative = wide is not None
-        scale = None
+        asked = _Asked(path, name, leaves[place], std, number if stated is None else stated)
         if name in ("added_mass", "body.matrix"):
-            mask = _mask(vehicle, leaf, entries, True) & ~held
-            make = functools.partial(_symmetric if linear else _inertia, vehicle)
-            part = make(name, np.asarray(leaf), mask)
-            flat = _places_of(part)
-            total = np.diag(vehicle.mass_matrix)
-            size = np.sqrt(np.outer(total, total)).ravel()[flat]
-            if stated is not None:
-                own = np.diag(np.asarray(leaf))
-                own = np.where(own > 0, own, total)
-                scale = np.sqrt(np.outer(own, own)).ravel()[flat]
+            part, size, scale = _free_inertia(vehicle, asked, entries, linear)
+            scale = size if stated is None else scale
         elif name in ("damping.linear", "damping.quadratic"):
-            mask = _mask(vehicle, leaf, entries, dissipative) & ~held
-            make = _dissipative if dissipative else _braking if relative and not linear else _plain
-            part = make(vehicle, name, np.asarray(leaf), mask)
-            flat = _places_of(part)
-            size = _damping_size(vehicle, np.asarray(leaf)).ravel()[flat]
-        elif _is_positive(vehicle, path, name) and (relative or _narrowed(path, std)):
-            if name == "thrusters.max_thrust_reverse":
-                # Where the file states none it is fitted by itself from there on.
-                leaf = vehicle.thrusters.reverse
-            flat, labels = np.flatnonzero(~held), _labels(vehicle, name, np.asarray(leaf))
-            labels = [labels[i] for i in flat]
-            # Of thrust over the advance the first number alone has a sign of its own.
-            may = flat % leaf.shape[-1] == 0 if leaf.ndim > 1 else np.ones(len(flat), bool)
-            part = _magnitudes(np.asarray(leaf), flat, labels, may, np.zeros(len(flat)))
-            size = np.abs(np.asarray(leaf).reshape(leaf.shape[0], -1))
-            # One that is zero may be as large as the others of its curve.
-            size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()[flat]
-            size = np.where(size > 0, size, 1.0)
+            part, size = _free_damping(vehicle, asked, entries, dissipative, linear)
+            scale = size
         else:
-            if name == "thrusters.max_thrust_reverse":
-                leaf = np.where(held, leaf, vehicle.thrusters.reverse)
-            part = _any_leaf(vehicle, path, name, np.asarray(leaf), held)
-            flat = _places_of(part)
-            value = np.abs(np.asarray(leaf).ravel()[flat])
-            usual = _usual(vehicle, path, name)
-            if usual is not None:
-                value = np.maximum(value, usual.ravel()[flat])
-            size = np.where(value > 0, value, 1.0)
-        width = std.ravel()[flat] if wide is None else wide * (size if scale is None else scale)
-        sure = np.full(len(size), not name.startswith("placed"))
-        if wide is not None and isinstance(part, Magnitudes):
-            # What fades begins where its slope is a half.
-            width = np.where(np.asarray(part.soft) > 0.0, 0.5 * width, width)
-        if wide is not None and name.startswith("placed") and _of_target(vehicle, path)[0] is not None:
-            nothing, typical = np.asarray(part.start) == 0.0, _typical(vehicle, path)
-            if typical is not None:
-                size = np.where(nothing, typical, size)
-                width, sure = wide * size, np.full(len(size), True)
-            else:
-                # An effect that changes nothing yet may be of any size; weights of a network may not.
-                width = np.where(nothing, np.inf, width)
-        if (width == 0).any():
-            raise ValueError(
-                f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "
-                "hold those as well."
-            )
-        parts.append(part)
-        sizes.append(size)
-        widths.append(width)
-        known.append(sure)
-    if not sum(part.start.size for part in parts):
-        raise ValueError("Argument `free` leaves nothing free on the axes that can move.")
-    scales = Scales(*map(np.concatenate, (sizes, widths, known)))
-    return Freed(vehicle, tuple(parts), tuple(places[i] for i in fitted)), scales
+            positive = _is_positive(vehicle, path, name) and (asked.relative or _narrowed(path, std))
+            part, size = (_free_magnitudes if positive else _free_others)(vehicle, asked)
+            scale = size
+        found.append((part, *_widths(vehicle, asked, part, size, scale)))
+    if not sum(part.start.size for part, *_ in found):
+        raise ValueError(
+            "Argument `free` leaves nothing free: what it names is empty, held, or on axes that cannot move."
+        )
+    parts, *scales = zip(*found, strict=True)
+    return Freed(vehicle, parts, tuple(places[i] for i in fitted)), Scales(*map(np.concatenate, scales))
+
+
+class _Asked(NamedTuple):
+    """A leaf that is to be free.
+
+    - `std`: standard deviations of its entries, as of `stated_widths`; 0 holds one. `wide`: their width
+      relative to a size, which goes before them; None where no number says it.
+    """
+
+    path: Any
+    name: str
+    leaf: Any
+    std: Any
+    wide: float | None
+
+    @property
+    def relative(self) -> bool:
+        """Whether its width is relative to a number, and so one of its logarithm."""
+        return self.wide is not None
+
+    @property
+    def held(self) -> Any:
+        return self.std == 0.0
+
+
+def _free_inertia(vehicle: Vehicle, asked: _Asked, entries: Selection, linear: bool):
+    """An inertia's part, the size of each entry, and what a width that the file states is relative to."""
+    mask = _mask(vehicle, asked.leaf, entries, True) & ~asked.held
+    make = functools.partial(_symmetric if linear else _inertia, vehicle)
+    part = make(asked.name, np.asarray(asked.leaf), mask)
+    flat, total = _places_of(part), np.diag(vehicle.mass_matrix)
+    own = np.diag(np.asarray(asked.leaf))
+    own = np.where(own > 0, own, total)
+    size, scale = (np.sqrt(np.outer(one, one)).ravel()[flat] for one in (total, own))
+    return part, size, scale
+
+
+def _free_damping(vehicle: Vehicle, asked: _Asked, entries: Selection, dissipative: bool, linear: bool):
+    """The part of a damping matrix, and the size of each entry."""
+    leaf = np.asarray(asked.leaf)
+    mask = _mask(vehicle, asked.leaf, entries, dissipative) & ~asked.held
+    make = _dissipative if dissipative else _braking if asked.relative and not linear else _plain
+    part = make(vehicle, asked.name, leaf, mask)
+    return part, _damping_size(vehicle, leaf).ravel()[_places_of(part)]
+
+
+def _free_magnitudes(vehicle: Vehicle, asked: _Asked):
+    """The part of a leaf whose entries keep their sign, and the size of each."""
+    name, leaf = asked.name, asked.leaf
+    if name == "thrusters.max_thrust_reverse":
+        # Where the file states none it is fitted by itself from there on.
+        leaf = vehicle.thrusters.reverse
+    flat, labels = np.flatnonzero(~asked.held), _labels(vehicle, name, np.asarray(leaf))
+    labels = [labels[i] for i in flat]
+    # Of thrust over the advance the first number alone has a sign of its own.
+    may = flat % leaf.shape[-1] == 0 if leaf.ndim > 1 else np.ones(len(flat), bool)
+    part = _magnitudes(np.asarray(leaf), flat, labels, may, np.zeros(len(flat)))
+    size = np.abs(np.asarray(leaf).reshape(leaf.shape[0], -1))
+    # One that is zero may be as large as the others of its curve.
+    size = np.where(size > 0, size, size.max(axis=1, keepdims=True)).ravel()[flat]
+    return part, np.where(size > 0, size, 1.0)
+
+
+def _free_others(vehicle: Vehicle, asked: _Asked):
+    """The part of any other leaf, and the size of each entry."""
+    leaf = asked.leaf
+    if asked.name == "thrusters.max_thrust_reverse":
+        leaf = np.where(asked.held, leaf, vehicle.thrusters.reverse)
+    part = _any_leaf(vehicle, asked.path, asked.name, np.asarray(leaf), asked.held)
+    flat = _places_of(part)
+    value = np.abs(np.asarray(leaf).ravel()[flat])
+    usual = _usual(vehicle, asked.path, asked.name)
+    if usual is not None:
+        value = np.maximum(value, usual.ravel()[flat])
+    return part, np.where(value > 0, value, 1.0)
+
+
+def _widths(vehicle: Vehicle, asked: _Asked, part, size: np.ndarray, scale: np.ndarray):
+    """Of each entry of a part its size, its width, and whether that size is known.
+
+    - `scale`: what a relative width is relative to.
+    """
+    name, wide = asked.name, asked.wide
+    width = asked.std.ravel()[_places_of(part)] if wide is None else wide * scale
+    sure = np.full(len(size), not name.startswith("placed"))
+    if wide is not None and isinstance(part, Magnitudes):
+        # What fades begins where its slope is a half.
+        width = np.where(np.asarray(part.soft) > 0.0, 0.5 * width, width)
+    if wide is not None and name.startswith("placed") and _of_target(vehicle, asked.path)[0] is not None:
+        nothing, typical = np.asarray(part.start) == 0.0, _typical(vehicle, asked.path)
+        if typical is not None:
+            size = np.where(nothing, typical, size)
+            width, sure = wide * size, np.full(len(size), True)
+        else:
+            # An effect that changes nothing yet may be of any size; weights of a network may not.
+            width = np.where(nothing, np.inf, width)
+    if (width == 0).any():
+        raise ValueError(
+            f"`{name}`: an entry that the prior holds is coupled to free ones; give it a width too, or "
+            "hold those as well."
+        )
+    return size, width, sure
 
 
 def _section(vehicle: Vehicle, path, name: str) -> str:
