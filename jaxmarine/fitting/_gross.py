@@ -25,7 +25,7 @@ from ..logs import Log
 from ..vehicle import Placed, Vehicle
 from ._feedback import answers
 from ._kinematics import Contradiction, contradiction, kinematics, misread
-from ._responses import Reading, opposite, read_otherwise, responses
+from ._responses import USUAL, Reading, confirmed, opposite, read_otherwise, responses
 from ._reversed import reversed_columns
 
 # A delay is told from half a sample on, and from this on [s]: less is how times are stamped.
@@ -113,10 +113,15 @@ def _of_sensors(
 def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]:
     seen = responses(vehicle, logs)
     readings = () if seen is None else read_otherwise(seen)
-    if seen is not None and readings and any(map(answers, logs)):
-        # Of what an axis answers a controller hides a part, up to all of it.
-        readings = read_otherwise(seen, np.inf)
     if seen is None or not readings:
+        return ()
+    # Of what an axis answers a controller hides a part, up to all of it.
+    spread = np.inf if any(map(answers, logs)) else USUAL
+    # Where one sensor comes late, or water goes on moving, what is said of the others hangs on the time.
+    otherwise = responses(vehicle, logs, apart=True)
+    seen_otherwise = () if otherwise is None else read_otherwise(otherwise, spread)
+    readings = confirmed(read_otherwise(seen, spread), seen_otherwise)
+    if not readings:
         return ()
     agreed = _agreed(vehicle, logs)
     # Where sensors that measure an axis twice agree, its sign is right.

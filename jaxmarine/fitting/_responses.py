@@ -29,11 +29,13 @@ _OFF = 1 / 3
 _SMALL = 0.3
 # Offsets between commands and motion that are tried [s].
 _OFFSETS = np.arange(-0.5, 1.55, 0.1)
+# Velocities and rates have sensors of their own, and each a time that it comes late by.
+_KINDS = (slice(0, 3), slice(3, 6))
 # An axis answers where its largest answer by the file is above this share of the largest of its kind.
 _LEAST = 0.05
 # Factors by which an axis may answer more or less than filed, and of how much two in three are: thrust over
 # inertia of a guessed file.
-_FACTORS, _USUAL = np.exp(np.linspace(-6.0, 6.0, 121)), np.log(2.0)
+_FACTORS, USUAL = np.exp(np.linspace(-6.0, 6.0, 121)), np.log(2.0)
 # Of impulses, combinations smaller than this share of the largest are how commands are rounded: a microsecond
 # of a pulse's four hundred.
 _TOLD = 1e-2
@@ -50,7 +52,7 @@ class Responses(NamedTuple):
     - `names`; `measured`, `filed` [axes, thrusters]; zero on axes that are locked.
     - `covariance` [axes, thrusters, thrusters]: by the scatter over blocks of the logs.
     - `known` [axes]: which axes move.
-    - `shown` [thrusters, thrusters]: `measured` is what the commands show of the true answers. Of many
+    - `shown` [axes, thrusters, thrusters]: `measured` is what the commands show of the true answers. Of many
       thrusters a pilot never moves some combination, of whose answer nothing is measured.
     """
 
@@ -59,7 +61,7 @@ class Responses(NamedTuple):
     filed: Float[np.ndarray, "6 thrusters"]
     covariance: Float[np.ndarray, "6 thrusters thrusters"]
     known: np.ndarray
-    shown: Float[np.ndarray, "thrusters thrusters"]
+    shown: Float[np.ndarray, "6 thrusters thrusters"]
 
 
 class Reading(NamedTuple):
@@ -78,10 +80,13 @@ class Reading(NamedTuple):
     odds: float
 
 
-def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
+def responses(vehicle: Vehicle, logs: Sequence[Log], apart: bool = False) -> Responses | None:
     """Of logs of commands; None where they are too short to tell, or where nothing was commanded.
 
     Of thrusters alone: what others give hangs on the flow, and has no answer of one size.
+
+    - `apart`: whether what commands are late by is found for velocities and for rates by themselves, whose
+      sensors may come late. Else it is one for all axes, which tells it better.
     """
     logs = [log for log in logs if log.commands is not None and not np.ptp(log.t) < 4 * STRETCH]
     # What a sagging battery takes from all thrusters is less than what their file is commonly off.
@@ -115,22 +120,32 @@ def responses(vehicle: Vehicle, logs: Sequence[Log]) -> Responses | None:
         return None
 
     fits = [_regressed(one, around, gained) for one in pushed]
-    best = min(fits, key=lambda fit: np.log(np.maximum(fit[2][:, known].std(axis=0), 1e-12)).sum())
-    inverse, slopes, rest, shown = best
+    found = [_best(fits, kind, known) for kind in (_KINDS if apart else (slice(0, 6),))]
+    slopes, rest, covariance, shown = (np.concatenate(parts) for parts in zip(*found, strict=True))
     # A channel that shows nothing but noise is no axis that does not answer.
     freedom = count + around.shape[1]
-    explained = (gained**2).sum(axis=0) - (rest**2).sum(axis=0)
-    known &= explained / freedom > _MOVES * (rest**2).sum(axis=0) / (len(gained) - freedom)
-    # What each block adds to the slopes by its residuals, whose sum is zero.
-    block = np.arange(len(gained)) * BLOCKS // len(gained)
-    starts = np.searchsorted(block, np.arange(BLOCKS))
-    added = np.add.reduceat(inverse.T[:, :, None] * rest[:, None, :], starts, axis=0)
-    lasting = np.einsum("bja,bka->ajk", added, added) * BLOCKS / (BLOCKS - 1)
-    alone = np.einsum("jt,kt,a->ajk", inverse, inverse, rest.var(axis=0))
-    # Of some blocks the scatter is a rough number: never less than that of stretches one by one.
+    explained = (gained**2).sum(axis=0) - (rest**2).sum(axis=1)
+    known &= explained / freedom > _MOVES * (rest**2).sum(axis=1) / (len(gained) - freedom)
     filed = np.asarray(vehicle.plant().allocation)[:, used] * vehicle.free[:, None]
     names = tuple(name for name, one in zip(vehicle.thruster_names, used, strict=True) if one)
-    return Responses(names, slopes.T, filed, lasting + alone, known, shown)
+    return Responses(names, slopes, filed, covariance, known, shown)
+
+
+def _best(fits: Sequence[tuple[np.ndarray, ...]], kind: slice, known: np.ndarray):
+    """Slopes, rest and covariance of some axes at the offset that suits them, and what is shown there."""
+    own = np.arange(6)[kind][known[kind]]
+    inverse, slopes, rest, shown = min(
+        fits, key=lambda fit: np.log(np.maximum(fit[2][:, own].std(axis=0), 1e-12)).sum()
+    )
+    slopes, rest = slopes.T[kind], rest.T[kind]
+    # What each block adds to the slopes by its residuals, whose sum is zero.
+    block = np.arange(rest.shape[1]) * BLOCKS // rest.shape[1]
+    starts = np.searchsorted(block, np.arange(BLOCKS))
+    added = np.add.reduceat(inverse[None] * rest[:, None], starts, axis=2)
+    lasting = np.einsum("ajb,akb->ajk", added, added) * BLOCKS / (BLOCKS - 1)
+    alone = np.einsum("jt,kt,a->ajk", inverse, inverse, rest.var(axis=1))
+    # Of some blocks the scatter is a rough number: never less than that of stretches one by one.
+    return slopes, rest, lasting + alone, np.repeat(shown[None], len(rest), axis=0)
 
 
 def _regressed(
@@ -156,7 +171,7 @@ def _sizes(columns: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, " co
     return np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-12)
 
 
-def read_otherwise(seen: Responses, spread: float = _USUAL) -> tuple[Reading, ...]:
+def read_otherwise(seen: Responses, spread: float = USUAL) -> tuple[Reading, ...]:
     """Ways to read columns and axes that responses prefer to the file's, the likeliest first.
 
     Mostly none. One mistake or two of these: two columns exchanged, one or all of the wrong sign, a whole
@@ -192,7 +207,7 @@ def read_otherwise(seen: Responses, spread: float = _USUAL) -> tuple[Reading, ..
     expected = np.stack([_read(seen, way) for way in ways])
     left = _unlikely(seen, expected, spread)
     # What not even the likeliest of them explains is how far answers scatter (overdispersion).
-    freedom = max(len(moving) * (np.trace(seen.shown) - 1), 1.0)
+    freedom = max(float((np.trace(seen.shown[moving], axis1=1, axis2=2) - 1).sum()), 1.0)
     phi = 2 * float(_unlikely(seen, expected[left.argmin()], np.inf)) / freedom
     if phi > 1:
         left = _unlikely(seen, expected, spread, phi)
@@ -205,6 +220,13 @@ def read_otherwise(seen: Responses, spread: float = _USUAL) -> tuple[Reading, ..
     return tuple(
         _named(seen.names, way, odds[way]) for way in sorted(near, key=lambda way: -round(odds[way], 2))
     )
+
+
+def confirmed(readings: Sequence[Reading], others: Sequence[Reading]) -> tuple[Reading, ...]:
+    """Those readings that others say too, with the smaller odds."""
+    odds = {one._replace(odds=0.0): one.odds for one in others}
+    both = [(one, odds.get(one._replace(odds=0.0))) for one in readings]
+    return tuple(one._replace(odds=min(one.odds, other)) for one, other in both if other is not None)
 
 
 # Of each column the thruster that it drives, the sign of its command, and the sign of each axis.
@@ -270,7 +292,7 @@ def _scaled(seen: Responses, moving: list[int]) -> Responses:
     def sizes(answers: Float[np.ndarray, "6 thrusters"]) -> Float[np.ndarray, " axes"]:
         return np.linalg.norm(answers[moving], axis=1)
 
-    filed = sizes(seen.filed @ seen.shown.T)
+    filed = sizes(np.einsum("ajk,ak->aj", seen.shown, seen.filed))
     ratio = float(np.median(sizes(seen.measured)[filed > 0] / filed[filed > 0])) if filed.any() else 0.0
     return seen._replace(filed=(ratio or 1.0) * seen.filed)
 
@@ -284,7 +306,7 @@ def _unlikely(
     """
     total = np.zeros(expected.shape[:-2])
     for axis in np.flatnonzero(_answers(seen)):
-        got, rows = seen.measured[axis], expected[..., axis, :] @ seen.shown.T
+        got, rows = seen.measured[axis], expected[..., axis, :] @ seen.shown[axis].T
         filed = np.abs(seen.filed[axis])
         filed *= np.linalg.norm(got) / np.linalg.norm(filed)
         # Of each answer what lies between measured and filed, the same for all readings.
