@@ -226,7 +226,7 @@ def test_what_a_full_command_is_may_have_any_unit(unit):
 
 
 def test_velocities_that_come_late_make_no_rate_answer_the_wrong_way():
-    """One offset for all axes is that of three late velocities; by it the quick turns come before the thrust."""
+    """One offset for all axes is that of the late velocities; by it turns come before the thrust."""
     late = ("sensor_delay", "velocity", (("delay", 0.5),))
     log = sailed(late, ship=HEAVY, seconds=200.0, kind="single")
     assert misconnected(packaged(HEAVY), (log,)) == ()

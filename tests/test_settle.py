@@ -666,6 +666,26 @@ def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unkn
         assert len(notes) == 1 and notes[0].startswith(note)
 
 
+@pytest.mark.parametrize(("alone", "left"), [(0.8, {4}), (0.97, set())])
+def test_of_several_names_the_least_likely_goes_first(monkeypatch, alone, left):
+    """The log has 4 in it and no 5; together they save nothing of the test log, `alone` is what 4 leaves."""
+    rival = rival_with()
+    ratios = {(4,): alone, (5, 4): 0.97}
+
+    def measured(bench, model, *rest):
+        ratio = ratios[tuple(suspects(model))]
+        return gain(ratio, (ratio - 0.2, ratio + 0.2)), object.__new__(Predictions)
+
+    monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: 0.9)
+    monkeypatch.setattr(_diagnose, "measured_gain", measured)
+    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    answer = Answer(judged_as(rival.bench.fit(5, 4)), (), False)
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),))
+    assert {*suspects(kept.model)} == left and (known is not None) == bool(left)
+    assert notes[0] == "With 5 what was named at first buys nothing on test.csv; it was dropped."
+    assert [one.label for one in kept.dropped] == ["5", *("4" for _ in range(not left))]
+
+
 @pytest.mark.parametrize(("home", "away", "kept"), [(0.89, 0.79, 1), (0.91, 0.79, 0), (0.89, 0.81, 0)])
 def test_what_is_learned_is_left_out_where_the_model_predicts_better_without_it(
     monkeypatch, home, away, kept

@@ -17,7 +17,7 @@ from ._amid import disturbed, refine_fully
 from ._answer import extended_by, findings_of, groups, recalibrated, standard_errors, weighed
 from ._criteria import DEFAULT, Criteria
 from ._disturbed import in_words, known, without_current
-from ._dropped import SHARPER, UNNAMED, USELESS, WORSE, gone
+from ._dropped import SHARPER, SPOILT, UNNAMED, USELESS, WORSE, gone
 from ._explanation import Model
 from ._gain import HORIZON
 from ._innovations import log_score, remembered
@@ -236,7 +236,7 @@ def _without_names(
 def _worthwhile(
     bench: Workbench, rival: Unnamed, answer: Answer, tests: Sequence[Log]
 ) -> tuple[Answer, tuple[Gain, Predictions] | None, list[str]]:
-    """The answer, or the one without names where names do not predict better, and a note of that.
+    """The answer, without names where these do not predict better, the least likely first, and notes of that.
 
     And the gain, where it was asked for.
     """
@@ -251,9 +251,24 @@ def _worthwhile(
     idle = buys_nothing(measured[0], bench.criteria.worth)
     if idle or (more is not None and more < 0):
         how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
+        if len(answer.model.members) > 1:
+            # One that only the training logs ask for may spoil what the others are worth.
+            fewer = _without_least(bench, answer)
+            with_it = f"With {fewer.dropped[-1].label} what was named at first {how} {names}; it was dropped."
+            answer, known, notes = _worthwhile(bench, rival, fewer, tests)
+            return answer, known, [with_it, *notes]
         told = [f"{what} {how} {names}; it was dropped."]
         return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
     return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
+
+
+def _without_least(bench: Workbench, answer: Answer) -> Answer:
+    """The answer without the name that costs the training logs least likelihood."""
+    whole = answer.model
+    fewer = [bench.likeliest(bench.without_member(whole, i)) for i in range(len(whole.members))]
+    least = min(fewer, key=lambda one: np.nan_to_num(one.cost, nan=np.inf))
+    dropped = answer.dropped + gone(bench, whole, least, SPOILT)
+    return dataclasses.replace(answer, judged=judged(bench, least), dropped=dropped)
 
 
 def _learned(

@@ -24,6 +24,8 @@ CHANCES = 3
 # Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
 # of what the best saves. They end where a step promises less than this share of the chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
+# Linearisations that tell who is hopeful beside white noise: where it began, and where the first step led.
+TELLING = 2
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
 MORE, AFRESH = 5, 2
 # Suspects refitted for what they would save beside a disturbance that is no slower than usual.
@@ -213,36 +215,48 @@ def _refined_each(bench: Workbench, models: Sequence[Model], steps: int, times: 
 
 
 def _trials(
-    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
+    bench: Workbench,
+    model: Model,
+    starts: Sequence[tuple[Member, np.ndarray | None]],
+    before: Sequence[Trial] = (),
 ) -> list[Trial]:
     """Refitted suspects whose numbers mean something.
 
     Where there are many windows, on some of them: all of them judge the best, before it is taken.
+
+    - `before`: those that were refitted in this round before, which they have to compare with.
     """
     sample = bench.sampled(model)
-    found = _refitted(sample.bench, sample.model, starts)
+    best = max([t.saved for t in before], default=0.0) / sample.every
+    found = _refitted(sample.bench, sample.model, starts, best)
     fitted = [sample.whole(model, sample.bench.climbed(t.model, STEPS, ROUGH, True)) for t in found]
     trials = [trial_of(model, one.members[-1], one) for one in fitted]
     return [t for t in trials if bench.sound(t.model)]
 
 
 def _refitted(
-    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]]
+    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]], best: float
 ) -> list[Trial]:
-    """A few steps for all suspects, more for those that may win."""
+    """A step for all suspects, more for those that may win: whose promise, too, is what a finding needs.
+
+    - `best`: what the best of others saves.
+    """
     begun = [_joined(bench, model, member, value) for member, value in starts]
-    refitted = _refined_each(bench, begun, FEW_STEPS)
+    refitted = _refined_each(bench, begun, TELLING)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
-    hopeful = HOPEFUL * max([t.saved for t in trials], default=0.0)
-    leading = HOPEFUL * max([2 * (model.cost - t.model.promised) for t in trials], default=0.0)
+    hopeful = HOPEFUL * max([best, *(t.saved for t in trials)])
+    leading = HOPEFUL * max([best, *(2 * (model.cost - t.model.promised) for t in trials)])
     trials.sort(key=lambda t: t.model.promised)
 
     def hoped(trial: Trial) -> float:
         more = trial.model.cost - trial.model.promised
         return trial.saved + 2 * more if more > ROUGH * trial.model.cost else -np.inf
 
-    going_on = [i for i, trial in enumerate(trials) if hoped(trial) > hopeful][:MORE]
+    def may_win(trial: Trial) -> bool:
+        return bool(hoped(trial) > max(hopeful, needed(bench, trial.member, 1.0)))
+
+    going_on = [i for i, trial in enumerate(trials) if may_win(trial)][:MORE]
     fitted = dict(
         zip(going_on, bench.refine_each([trials[i].model for i in going_on], STEPS, ROUGH), strict=True)
     )
@@ -420,12 +434,12 @@ def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress)
     always = [member for member in ranked if member.since is None][:SHORTLIST]
     late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
     trials = _trials(bench, model, [(member, None) for member in (*always, *late)])
-    trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)])
+    trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)], trials)
     best = max([t.saved for t in trials], default=0.0)
     # Where there is none, the file's coefficients bent until they mean nothing, perhaps to what has no slope.
     if best > least_needed(bench) or not trials:
         progress("refitting the best suspects")
-        trials += _trials(bench, model, probes(bench, model, best))
+        trials += _trials(bench, model, probes(bench, model, best), trials)
     return trials
 
 
