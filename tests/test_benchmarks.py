@@ -324,6 +324,15 @@ def test_a_quick_diagnosis_over_places_is_counted(tmp_path):
     assert all(run["memory"]["judged"] > 2e8 and min(run["arrays"].values()) > 0 for run in runs)
 
 
+def test_the_page_has_the_tables_of_the_fleet():
+    results = json.loads((ROOT / "experiments" / "benchmarks" / "fleet" / "results.json").read_text())
+    page = (ROOT / "experiments" / "benchmarks" / "README.md").read_text()
+    assert fleet.text_of(results) in page
+    one = results["workers"][0]["cpu_per_log"]
+    moved = results["workers"][0]["bytes_per_log"] + results["read_per_log"]
+    assert results["on_paper"] == fleet.on_paper(one, results["overhead"], moved)
+
+
 def test_the_pages_have_the_numbers_of_logs_on_workers():
     results = json.loads((shared.HERE / "results.json").read_text())
     own, fleets = ((ROOT / page).read_text() for page in (OWN_PAGE, "docs/fleets.md"))
