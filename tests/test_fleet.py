@@ -343,6 +343,7 @@ def test_the_command_refuses_in_a_sentence(tmp_path, capsys):
     assert said.startswith("--scheduler nonsense: does not answer") and said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_command_makes_rows_of_logs_that_cannot_be_used(tmp_path):
     jm.save_vehicle(boat(), tmp_path / "boat.toml")
     (tmp_path / "short.csv").write_text("t,u\n0,1\n")

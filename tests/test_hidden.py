@@ -156,6 +156,7 @@ def strange(name: str, seed: int) -> Outside:
 LIKE_FRICTION = (LinearDamping, QuadraticDamping, ThrusterGain, Deadband, SteadyCurrent)
 
 
+@pytest.mark.slow
 def test_a_force_that_sticks_and_slips_is_unknown_with_a_signal_that_it_depends_on():
     name, seed = "stick_slip", OUTSIDE["stick_slip"]
     lengths = {"train": BRIEF, "test": BRIEF}

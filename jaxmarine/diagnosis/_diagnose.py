@@ -251,22 +251,26 @@ def _worthwhile(
     idle = buys_nothing(measured[0], bench.criteria.worth)
     if idle or (more is not None and more < 0):
         how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
-        if len(answer.model.members) > 1:
-            # One that only the training logs ask for may spoil what the others are worth.
-            fewer = _without_least(bench, answer)
+        # One that only the training logs ask for may spoil what the others are worth.
+        fewer = _without_least(bench, answer)
+        if fewer is not None:
             with_it = f"With {fewer.dropped[-1].label} what was named at first {how} {names}; it was dropped."
-            answer, known, notes = _worthwhile(bench, rival, fewer, tests)
-            return answer, known, [with_it, *notes]
+            answer, kept, notes = _worthwhile(bench, rival, fewer, tests)
+            return answer, kept, [with_it, *notes]
         told = [f"{what} {how} {names}; it was dropped."]
         return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
     return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
 
 
-def _without_least(bench: Workbench, answer: Answer) -> Answer:
-    """The answer without the name that costs the training logs least likelihood."""
+def _without_least(bench: Workbench, answer: Answer) -> Answer | None:
+    """The answer without the name that costs the training logs least likelihood; None where none can go."""
     whole = answer.model
+    if len(whole.members) < 2:
+        return None
     fewer = [bench.likeliest(bench.without_member(whole, i)) for i in range(len(whole.members))]
-    least = min(fewer, key=lambda one: np.nan_to_num(one.cost, nan=np.inf))
+    least = min((one for one in fewer if bench.stands(one, whole)), key=lambda one: one.cost, default=None)
+    if least is None:
+        return None
     dropped = answer.dropped + gone(bench, whole, least, SPOILT)
     return dataclasses.replace(answer, judged=judged(bench, least), dropped=dropped)
 

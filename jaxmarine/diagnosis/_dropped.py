@@ -12,7 +12,7 @@ HARMFUL = "The model predicts the training log better over 5 s without it."
 STOOD_IN = "It only stood in for a force that depends on signals and has no name."
 UNNAMED = "Forces without a name that depend on signals make the training logs likelier than what was named."
 WORSE = "What was named predicts the training log worse over 5 s than the vehicle file."
-SPOILT = "With it what else was named buys nothing on the test logs."
+SPOILT = "With it what was named is of no use on the test logs."
 USELESS = "What was named buys nothing on the test logs."
 
 

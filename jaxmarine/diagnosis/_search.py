@@ -21,8 +21,8 @@ SHORTLIST, SHORTLIST_BEGUN = 8, 4
 # does not.
 WITH_BEGINNING = 3
 CHANCES = 3
-# Gauss-Newton steps of a suspect's refit, and of one that is hopeful: that saves or promises this share
-# of what the best saves. They end where a step promises less than this share of the chi-square.
+# Gauss-Newton steps of a suspect's refit beside a disturbance, and of one that is hopeful: that saves or
+# promises this share of what the best saves. They end where a step promises less than this share of the chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Linearisations that tell who is hopeful beside white noise: where it began, and where the first step led.
 TELLING = 2
@@ -227,19 +227,23 @@ def _trials(
     - `before`: those that were refitted in this round before, which they have to compare with.
     """
     sample = bench.sampled(model)
-    best = max([t.saved for t in before], default=0.0) / sample.every
-    found = _refitted(sample.bench, sample.model, starts, best)
+    best = max([t.saved for t in before if np.isfinite(t.saved)], default=0.0) / sample.every
+    found = _refitted(sample.bench, sample.model, starts, best, sample.every)
     fitted = [sample.whole(model, sample.bench.climbed(t.model, STEPS, ROUGH, True)) for t in found]
     trials = [trial_of(model, one.members[-1], one) for one in fitted]
     return [t for t in trials if bench.sound(t.model)]
 
 
 def _refitted(
-    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]], best: float
+    bench: Workbench,
+    model: Model,
+    starts: Sequence[tuple[Member, np.ndarray | None]],
+    best: float,
+    every: int,
 ) -> list[Trial]:
     """A step for all suspects, more for those that may win: whose promise, too, is what a finding needs.
 
-    - `best`: what the best of others saves.
+    - `best`: what the best of others saves; `every`: one of so many windows are these.
     """
     begun = [_joined(bench, model, member, value) for member, value in starts]
     refitted = _refined_each(bench, begun, TELLING)
@@ -254,7 +258,7 @@ def _refitted(
         return trial.saved + 2 * more if more > ROUGH * trial.model.cost else -np.inf
 
     def may_win(trial: Trial) -> bool:
-        return bool(hoped(trial) > max(hopeful, needed(bench, trial.member, 1.0)))
+        return bool(hoped(trial) > max(hopeful, needed(bench, trial.member, 1.0) / every))
 
     going_on = [i for i, trial in enumerate(trials) if may_win(trial)][:MORE]
     fitted = dict(

@@ -226,7 +226,8 @@ def confirmed(readings: Sequence[Reading], others: Sequence[Reading]) -> tuple[R
     """Those readings that others say too, with the smaller odds."""
     odds = {one._replace(odds=0.0): one.odds for one in others}
     both = [(one, odds.get(one._replace(odds=0.0))) for one in readings]
-    return tuple(one._replace(odds=min(one.odds, other)) for one, other in both if other is not None)
+    found = [one._replace(odds=min(one.odds, other)) for one, other in both if other is not None]
+    return tuple(sorted(found, key=lambda one: -round(one.odds, 2)))
 
 
 # Of each column the thruster that it drives, the sign of its command, and the sign of each axis.
