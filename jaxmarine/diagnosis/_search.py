@@ -22,7 +22,8 @@ SHORTLIST, SHORTLIST_BEGUN = 8, 4
 WITH_BEGINNING = 3
 CHANCES = 3
 # Gauss-Newton steps of a suspect's refit beside a disturbance, and of one that is hopeful: that saves or
-# promises this share of what the best saves. They end where a step promises less than this share of the chi-square.
+# promises this share of what the best saves. They end where a step promises less than this share of the
+# chi-square.
 FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
 # Linearisations that tell who is hopeful beside white noise: where it began, and where the first step led.
 TELLING = 2
