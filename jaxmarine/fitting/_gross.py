@@ -115,12 +115,14 @@ def _of_columns(vehicle: Vehicle, logs: Sequence[Log]) -> tuple[GrossError, ...]
     readings = () if seen is None else read_otherwise(seen)
     if seen is None or not readings:
         return ()
-    # Of what an axis answers a controller hides a part, up to all of it.
-    spread = np.inf if any(map(answers, logs)) else USUAL
+    spread = USUAL
+    if any(map(answers, logs)):
+        # Of what an axis answers a controller hides a part, up to all of it.
+        spread = np.inf
+        readings = read_otherwise(seen, spread)
     # Where one sensor comes late, or water goes on moving, what is said of the others hangs on the time.
     otherwise = responses(vehicle, logs, apart=True)
-    seen_otherwise = () if otherwise is None else read_otherwise(otherwise, spread)
-    readings = confirmed(read_otherwise(seen, spread), seen_otherwise)
+    readings = () if otherwise is None else confirmed(readings, read_otherwise(otherwise, spread))
     if not readings:
         return ()
     agreed = _agreed(vehicle, logs)
