@@ -21,9 +21,13 @@ test: export OPENBLAS_NUM_THREADS ?= 1
 # of its own, programs cut into parts that are compiled side by side only take longer.
 test: export XLA_FLAGS ?= --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 \
 	--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1
+# Programs of tests, which nobody reads, are not told of which line each of their operations is.
+test: export JAX_TRACEBACK_IN_LOCATIONS_LIMIT ?= 0
 export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0
 export JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES ?= -1
 
+# What Python compiles is kept, whatever the machine says: else each process compiles all packages again (3 s).
+export PYTHONDONTWRITEBYTECODE :=
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help setup demo test docs clean

@@ -42,6 +42,13 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Tracing leaves many small objects: searched for cycles by default, they take a twentieth of a run.
 gc.set_threshold(20_000)
 
+
+def pytest_collection_finish() -> None:
+    """What all modules have made stays to the end, and is searched no more."""
+    gc.collect()
+    gc.freeze()
+
+
 # Derandomised, so that a run is repeatable; without deadline, because the first example compiles.
 hypothesis.settings.register_profile("jaxmarine", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("jaxmarine")
