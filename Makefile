@@ -46,6 +46,8 @@ $(STAMP): pyproject.toml constraints.txt
 	this machine has $$(python3 --version 2>/dev/null || echo no Python 3)." >&2; exit 1; }
 	@echo "Installing jaxmarine and its dependencies into $(VENV), once."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	@# The pip that comes with Python looks for each wheel's platform among all, and takes twice as long.
+	@$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --upgrade pip
 	@# Modules are compiled when they are first imported: most of the packages' never are.
 	@$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[test]'
 	@touch $@

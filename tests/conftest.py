@@ -3,8 +3,10 @@
 import _socket
 import gc
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import hypothesis
 import jax
@@ -44,9 +46,14 @@ gc.set_threshold(20_000)
 
 
 def pytest_collection_finish() -> None:
-    """What all modules have made stays to the end, and is searched no more."""
+    """What all modules have made stays to the end, and is searched no more; nor is it by Holm's correction.
+
+    Which collects all garbage each time: some seconds, beside what JAX holds.
+    """
     gc.collect()
     gc.freeze()
+    if holm := sys.modules.get("statsmodels.stats.multitest"):
+        holm.gc = SimpleNamespace(collect=lambda: 0)
 
 
 # Derandomised, so that a run is repeatable; without deadline, because the first example compiles.

@@ -1014,6 +1014,7 @@ def test_a_column_of_the_wrong_sign_is_told_by_check(ship, sailed, column, told)
 NAMED = ["propeller.wake_fraction[prop]", "surface.lift_slope[rudder]"]
 
 
+@pytest.mark.slow
 def test_numbers_of_propeller_and_rudder_are_fitted(ship):
     train, _ = hidden(ship, "surface_gain", "rudder", {"factor": 1.0}, (60.0, 20.0))
     wrong = eqx.tree_at(lambda v: v.actuators[1].lift_slope, ship, jnp.array([3.2]))

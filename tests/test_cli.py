@@ -332,6 +332,7 @@ def test_fit_writes_the_vehicle_that_made_the_log(jaxmarine, folder, ship):
     assert fitted.name == "cybership2"
 
 
+@pytest.mark.slow
 def test_fit_frees_an_effect_that_the_file_does_not_have(jaxmarine, folder, ship):
     """The log is of thrusters as filed, so that a file with more thrust in one needs a gain below one there.
 

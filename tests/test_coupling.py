@@ -45,6 +45,7 @@ def driven(craft: jm.Vehicle, plant: blind.Model, duration: float, seed: int) ->
     return jm.Log(t, channels, commands, None, craft.thruster_names, f"log{seed}.csv")
 
 
+@pytest.mark.slow
 def test_a_coupling_that_the_file_lacks_is_fitted_within_its_interval():
     craft, log, _ = craft_and_logs(ADDED, SWAY_BY_YAW, YAW_BY_SWAY)
     found = jm.fit(craft, log, lambda v: (v.added_mass, v.damping.linear), prior=0.3, entries="coupled")

@@ -202,6 +202,7 @@ def test_one_step_recovers_without_noise_and_goes_on_past_accidents():
     np.testing.assert_allclose(values(found), planted(boat()), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_thrust_ahead_and_astern_and_its_curve_are_found():
     """The file knows of neither: it begins with as much astern as ahead, and in proportion to the command."""
 

@@ -211,6 +211,7 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed():
     np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
     """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all."""
     t = np.arange(200) * DT

@@ -109,7 +109,8 @@ def test_what_the_model_lacks_does_not_outweigh_the_prior():
 
 
 @pytest.mark.parametrize(
-    "channels", ["x y psi", "u v r", pytest.param("x y psi u v r", marks=pytest.mark.slow)]
+    "channels",
+    ["x y psi", *(pytest.param(one, marks=pytest.mark.slow) for one in ("u v r", "x y psi u v r"))],
 )
 @settings(max_examples=2)
 @given(seed=st.integers(0, 10**6))
