@@ -657,7 +657,7 @@ def test_an_answer_that_buys_nothing_gives_way(monkeypatch, members, dense, unkn
     measured = (gain(ratio, (ratio - 0.2, ratio + 0.2)), object.__new__(Predictions))
     monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: home)
     monkeypatch.setattr(_diagnose, "measured_gain", lambda *asked: measured)
-    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),))
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),), lambda words: None)
     if note is None:
         assert kept is answer and notes == []
         assert known == (measured if members and not unknown else None)
@@ -679,11 +679,32 @@ def test_of_several_names_the_least_likely_goes_first(monkeypatch, alone, left):
     monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: 0.9)
     monkeypatch.setattr(_diagnose, "measured_gain", measured)
     monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, *_: Answer(now, (), dense))
+    monkeypatch.setattr(_diagnose, "nats_of", lambda bench, now, unknown: 0.0)
+    rival.likelier = lambda named, phi, bends=True: False
     answer = Answer(judged_as(rival.bench.fit(5, 4)), (), False)
-    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),))
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),), lambda words: None)
     assert {*suspects(kept.model)} == left and (known is not None) == bool(left)
     assert notes[0] == "With 5 what was named at first buys nothing on test.csv; it was dropped."
-    assert [one.label for one in kept.dropped] == ["5", *("4" for _ in range(not left))]
+    left_too = [] if left else ["What is named without it buys nothing on test.csv; it was dropped."]
+    assert notes[1:] == left_too
+    assert [one.label for one in kept.dropped] == ["5", *("4" for _ in left_too)]
+
+
+def test_what_a_name_leaves_that_goes_is_asked_for_what_is_unknown(monkeypatch):
+    """5 stood for a force that depends on signals: what is left is 4 and that, which is learned next."""
+    rival = rival_with()
+    rival.likelier = lambda named, phi, bends=True: False
+    monkeypatch.setattr(_diagnose, "gain_at_home", lambda bench, model, dense: 0.9)
+    monkeypatch.setattr(_diagnose, "measured_gain", lambda *asked: (gain(0.97, (0.8, 1.1)), None))
+    monkeypatch.setattr(_diagnose, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_diagnose, "nats_of", lambda bench, now, unknown: 0.0)
+    unknown = (dependence(),)
+    monkeypatch.setattr(_diagnose, "with_unknown", lambda bench, now, dense, *_: Answer(now, unknown, dense))
+    answer = Answer(judged_as(rival.bench.fit(5, 4)), (), False)
+    kept, known, notes = _diagnose._worthwhile(rival.bench, rival, answer, (a_log(2),), lambda words: None)
+    assert suspects(kept.model) == [4] and kept.unknown == unknown and known is None
+    assert notes == ["With 5 what was named at first buys nothing on test.csv; it was dropped."]
 
 
 @pytest.mark.parametrize(("home", "away", "kept"), [(0.89, 0.79, 1), (0.91, 0.79, 0), (0.89, 0.81, 0)])

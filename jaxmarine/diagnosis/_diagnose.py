@@ -156,7 +156,7 @@ def _answered(opened: Opened, progress: Progress) -> _Way:
         return _Way(opened.bench, rival, rival.answer)
     bench, rival, found, lost = _searched(opened, progress)
     answer, rounds = _chosen(bench, rival, found, progress)
-    answer, measured, told = _worthwhile(bench, rival, answer, opened.tests)
+    answer, measured, told = _worthwhile(bench, rival, answer, opened.tests, progress)
     return _Way(bench, rival, answer, rounds, lost, measured, tuple(told))
 
 
@@ -212,17 +212,29 @@ def _chosen(
     several = len(model.members) > 1 and not now.white
     if several and rival.likelier(nats_of(bench, now, ()), now.phi):
         return _without_names(bench, rival, model, dropped, UNNAMED), rounds
+    return _completed(bench, rival, now, dense, dropped, progress), rounds
+
+
+def _completed(
+    bench: Workbench,
+    rival: Unnamed,
+    now: Judged,
+    dense: bool,
+    dropped: tuple[Dropped, ...],
+    progress: Progress,
+) -> Answer:
+    """Names with what else the logs depend on; or that alone, where it is likelier."""
     followed = (lambda: rival.answer.unknown) if dense else tuple
     answer = with_unknown(bench, now, dense, progress, followed)
     if dropped:
         answer = dataclasses.replace(answer, dropped=dropped + answer.dropped)
     if not answer.changed or answer.judged.white:
-        return answer, rounds
+        return answer
     # Coefficients that were refitted without what is unknown have followed it.
     own, bends = nats_of(bench, answer.judged, answer.unknown), bool(answer.model.members)
     if rival.likelier(own, answer.judged.phi, bends):
-        answer = _without_names(bench, rival, answer.model, answer.dropped, UNNAMED)
-    return answer, rounds
+        return _without_names(bench, rival, answer.model, answer.dropped, UNNAMED)
+    return answer
 
 
 def _without_names(
@@ -234,13 +246,20 @@ def _without_names(
 
 
 def _worthwhile(
-    bench: Workbench, rival: Unnamed, answer: Answer, tests: Sequence[Log]
+    bench: Workbench,
+    rival: Unnamed,
+    answer: Answer,
+    tests: Sequence[Log],
+    progress: Progress,
+    named: str = "What was named at first",
 ) -> tuple[Answer, tuple[Gain, Predictions] | None, list[str]]:
     """The answer, without names where these do not predict better, the least likely first, and notes of that.
 
     And the gain, where it was asked for.
+
+    - `named`: what the notes call the names.
     """
-    what = "What was named at first" if answer.model.members else "The file as it was refitted at first"
+    what = named if answer.model.members else "The file as it was refitted at first"
     if gain_at_home(bench, answer.model, answer.dense) > 1.0:
         worse = f"{what} predicts the training log worse than the file over {HORIZON:g} s; it was dropped."
         return _without_names(bench, rival, answer.model, answer.dropped, WORSE), None, [worse]
@@ -252,27 +271,32 @@ def _worthwhile(
     if idle or (more is not None and more < 0):
         how = "buys nothing on" if idle else "makes less likely, one step ahead, what was measured in"
         # One that only the training logs ask for may spoil what the others are worth.
-        fewer = _without_least(bench, answer)
-        if fewer is not None:
-            with_it = f"With {fewer.dropped[-1].label} what was named at first {how} {names}; it was dropped."
-            answer, kept, notes = _worthwhile(bench, rival, fewer, tests)
+        least = _without_least(bench, answer.model)
+        if least is not None:
+            dropped = gone(bench, answer.model, least, SPOILT)
+            with_it = f"With {dropped[-1].label} {_amid(named)} {how} {names}; it was dropped."
+            now = judged(bench, least)
+            fewer = _completed(bench, rival, now, answer.dense, answer.dropped + dropped, progress)
+            answer, kept, notes = _worthwhile(
+                bench, rival, fewer, tests, progress, "What is named without it"
+            )
             return answer, kept, [with_it, *notes]
         told = [f"{what} {how} {names}; it was dropped."]
         return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
     return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
 
 
-def _without_least(bench: Workbench, answer: Answer) -> Answer | None:
-    """The answer without the name that costs the training logs least likelihood; None where none can go."""
-    whole = answer.model
+def _amid(words: str) -> str:
+    """The beginning of a sentence within one."""
+    return words[0].lower() + words[1:]
+
+
+def _without_least(bench: Workbench, whole: Model) -> Model | None:
+    """The model without the name that costs the training logs least likelihood; None where none can go."""
     if len(whole.members) < 2:
         return None
     fewer = [bench.likeliest(bench.without_member(whole, i)) for i in range(len(whole.members))]
-    least = min((one for one in fewer if bench.stands(one, whole)), key=lambda one: one.cost, default=None)
-    if least is None:
-        return None
-    dropped = answer.dropped + gone(bench, whole, least, SPOILT)
-    return dataclasses.replace(answer, judged=judged(bench, least), dropped=dropped)
+    return min((one for one in fewer if bench.stands(one, whole)), key=lambda one: one.cost, default=None)
 
 
 def _learned(
