@@ -5,7 +5,9 @@ usage: python -m experiments.live --out DIR [--quick]
 Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by sticks and half under feedback:
 
 - *Same*: a thruster that is weak from the first sample on. Nats of the suspect that `diagnose` names first,
-  at the log's end, beside those of a watch that names nothing; and the names of one that does.
+  at the log's end, beside those of a watch that names nothing; and the names of one that does. Those of its
+  first round are alike: the file may bend there, as where a craft is watched, and in an answer that holds it
+  as it is a name does more.
 - *Delay*: a thruster that grows weak under way, from hardly to badly.
 - *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
 - *Pace*: a log of six axes at 50 Hz, drawn by the package itself, with the whole catalogue. Seconds of the
@@ -90,15 +92,20 @@ def same(folder: Path, factor: float, seed: int, steering: str, disturbance: str
     hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor})]
     vehicle, train, test = opened(folder, hidden, seed, DURATION, steering, disturbance)
     watch, open_end = watched(vehicle, train), watched(vehicle, train, false_alarms=0.0).status.nats
-    found = jm.diagnose(vehicle, train, test).findings
+    diagnosis = jm.diagnose(vehicle, train, test)
+    found = diagnosis.findings
     first = found[0] if found else None
+    # An answer may hold the file as it is; in the first round it may bend, as where a craft is watched.
+    bending = {one.label: one.log_evidence for one in reversed(next(iter(diagnosis.rounds), ()))}
     leading = max(open_end, key=lambda label: open_end[label])
     return {
         "factor": factor,
         "named": names_of(watch),
         "diagnosed": [[one.label, one.log_evidence] for one in found],
         "leading": [leading, open_end[leading]],
-        "first": None if first is None else [first.label, first.log_evidence, open_end.get(first.label)],
+        "first": None
+        if first is None
+        else [first.label, first.log_evidence, bending.get(first.label), open_end.get(first.label)],
     }
 
 
@@ -234,19 +241,19 @@ def summary(rows: list[Row]) -> Row:
     return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace")}
 
 
-def compared(diagnosed: float, watched: float) -> str:
-    """Nats by a diagnosis and by a watch."""
-    return f"{diagnosed:.0f} | {watched:.0f} | {watched / diagnosed:.2f}"
+def compared(answered: float, bending: float, watched: float) -> str:
+    """Nats by a diagnosis, in its answer and beside a file that may bend, and by a watch."""
+    return f"{answered:.0f} | {bending:.0f} | {watched:.0f} | {watched / bending:.2f}"
 
 
 def table(found: Row) -> str:
     """What stands in `docs/live.md`, as Markdown."""
-    out = ["| log | watch named | `diagnose` named | nats of its first | nats by the watch | ratio |"]
-    out.append("| --- | --- | --- | --- | --- | --- |")
+    out = ["| log | watch named | `diagnose` named | its nats | of its first round | of a watch | ratio |"]
+    out.append("| --- | --- | --- | --- | --- | --- | --- |")
     for one in found["same"]:
         watched = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
         diagnosed = ", ".join(f"`{label}`" for label, _ in one["diagnosed"]) or "nothing"
-        nats = " | | " if one["first"] is None else compared(*one["first"][1:])
+        nats = " | | | " if one["first"] is None else compared(*one["first"][1:])
         steering = WORDS.get(one["steering"], one["steering"])
         out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
     out += [
