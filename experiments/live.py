@@ -19,6 +19,7 @@ It goes on where it was cut. Writes results.json and results.md.
 import json
 import time
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,18 +96,24 @@ def same(folder: Path, factor: float, seed: int, steering: str, disturbance: str
     diagnosis = jm.diagnose(vehicle, train, test)
     found = diagnosis.findings
     first = found[0] if found else None
-    # An answer may hold the file as it is; in the first round it may bend, as where a craft is watched.
-    bending = {one.label: one.log_evidence for one in reversed(next(iter(diagnosis.rounds), ()))}
     leading = max(open_end, key=lambda label: open_end[label])
     return {
         "factor": factor,
         "named": names_of(watch),
         "diagnosed": [[one.label, one.log_evidence] for one in found],
         "leading": [leading, open_end[leading]],
-        "first": None
-        if first is None
-        else [first.label, first.log_evidence, bending.get(first.label), open_end.get(first.label)],
+        "first": None if first is None else nats_of(first.label, diagnosis, open_end),
     }
+
+
+def nats_of(label: str, diagnosis: jm.Diagnosis, watched: Mapping[str, float]) -> list[Any]:
+    """A name, its nats in the answer, in the first round and of a watch; None where it was not weighed.
+
+    An answer may hold the file as it is; in the first round it may bend, as where a craft is watched.
+    """
+    answered = next(one.log_evidence for one in diagnosis.findings if one.label == label)
+    weighed = (one.log_evidence for one in next(iter(diagnosis.rounds), ()) if one.label == label)
+    return [label, answered, next(weighed, None), watched.get(label)]
 
 
 def delay(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
@@ -253,7 +260,8 @@ def table(found: Row) -> str:
     for one in found["same"]:
         watched = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
         diagnosed = ", ".join(f"`{label}`" for label, _ in one["diagnosed"]) or "nothing"
-        nats = " | | | " if one["first"] is None else compared(*one["first"][1:])
+        unweighed = one["first"] is None or None in one["first"]
+        nats = " | | | " if unweighed else compared(*one["first"][1:])
         steering = WORDS.get(one["steering"], one["steering"])
         out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
     out += [

@@ -17,11 +17,12 @@ from rich.progress import track
 
 import jaxmarine as jm
 from experiments._study import program, study, wilson, write_results
+from experiments.blind_matrix import GROUPS, group
 from experiments.live import names_of, watched
+from jaxmarine.fleets._history import label_of
 
 HERE = Path(__file__).parent / "live_names"
 KINDS = ("null", "single")
-GROUPS = {False: "sticks", True: "feedback"}
 Row = dict[str, Any]
 
 
@@ -37,31 +38,23 @@ def watched_case(folder: Path, graded: Row) -> Row:
         "steering": graded["steering"],
         "disturbance": graded["disturbance"],
         "hidden": graded["hidden"],
-        "diagnosed": labels([one[:2] for one in graded["found"]]),
+        "diagnosed": [label_of({"effect": one[0], "target": one[1]}) for one in graded["found"]],
         "named": named,
         "seconds": round(time.process_time() - begun, 1),
         "program": program(),
     }
 
 
-def labels(pairs: list[list[str | None]]) -> list[str]:
-    return [str(effect) if target is None else f"{effect}:{target}" for effect, target in pairs]
-
-
-def fed_back(row: Row) -> bool:
-    return row["steering"] != "sticks"
-
-
 def summary(rows: list[Row]) -> list[Row]:
     """Of either way to steer: how many logs, on how many the names are the same, how they differ."""
     out = []
-    for feedback, words in GROUPS.items():
+    for steered in GROUPS:
         for kind in KINDS:
-            some = [row for row in rows if fed_back(row) == feedback and row["kind"] == kind]
+            some = [row for row in rows if group(row) == steered and row["kind"] == kind]
             differ = [row for row in some if {*named(row)} != {*row["diagnosed"]}]
             out.append(
                 {
-                    "steered": words,
+                    "steered": steered,
                     "kind": kind,
                     "logs": len(some),
                     "same": len(some) - len(differ),

@@ -46,12 +46,10 @@ gc.set_threshold(20_000)
 
 
 def pytest_collection_finish() -> None:
-    """What all modules have made stays to the end, and is searched no more; nor is it by Holm's correction.
-
-    Which collects all garbage each time: some seconds, beside what JAX holds.
-    """
+    """What all modules have made stays to the end, and is searched no more."""
     gc.collect()
     gc.freeze()
+    # Holm's correction collects all garbage each time: some seconds, beside what JAX holds.
     if holm := sys.modules.get("statsmodels.stats.multitest"):
         holm.gc = SimpleNamespace(collect=lambda: 0)
 

@@ -251,7 +251,7 @@ def _worthwhile(
     answer: Answer,
     tests: Sequence[Log],
     progress: Progress,
-    named: str = "What was named at first",
+    named: str = "what was named at first",
 ) -> tuple[Answer, tuple[Gain, Predictions] | None, list[str]]:
     """The answer, without names where these do not predict better, the least likely first, and notes of that.
 
@@ -259,7 +259,7 @@ def _worthwhile(
 
     - `named`: what the notes call the names.
     """
-    what = named if answer.model.members else "The file as it was refitted at first"
+    what = named.capitalize() if answer.model.members else "The file as it was refitted at first"
     if gain_at_home(bench, answer.model, answer.dense) > 1.0:
         worse = f"{what} predicts the training log worse than the file over {HORIZON:g} s; it was dropped."
         return _without_names(bench, rival, answer.model, answer.dropped, WORSE), None, [worse]
@@ -274,21 +274,15 @@ def _worthwhile(
         least = _without_least(bench, answer.model)
         if least is not None:
             dropped = gone(bench, answer.model, least, SPOILT)
-            with_it = f"With {dropped[-1].label} {_amid(named)} {how} {names}; it was dropped."
+            with_it = f"With {dropped[-1].label} {named} {how} {names}; it was dropped."
             now = judged(bench, least)
             fewer = _completed(bench, rival, now, answer.dense, answer.dropped + dropped, progress)
-            answer, kept, notes = _worthwhile(
-                bench, rival, fewer, tests, progress, "What is named without it"
-            )
+            left = "what is named without it"
+            answer, kept, notes = _worthwhile(bench, rival, fewer, tests, progress, left)
             return answer, kept, [with_it, *notes]
         told = [f"{what} {how} {names}; it was dropped."]
         return _without_names(bench, rival, answer.model, answer.dropped, USELESS), None, told
     return answer, measured, [] if more is None else [_one_step_ahead(names, more)]
-
-
-def _amid(words: str) -> str:
-    """The beginning of a sentence within one."""
-    return words[0].lower() + words[1:]
 
 
 def _without_least(bench: Workbench, whole: Model) -> Model | None:
