@@ -13,8 +13,10 @@ from jaxmarine.diagnosis import Layout
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import (
     ConstantWrench,
+    ExchangedThrusters,
     LinearDamping,
     QuadraticDamping,
+    Saturation,
     SensorDelay,
     SteadyCurrent,
     Suspect,
@@ -25,12 +27,21 @@ from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
-from jaxmarine.watching import Kept, Watch, _judge, _ledger, _saved
+from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _saved
+from jaxmarine.watching._blocks import LONG, Bench
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from tests.boats import NOISE, boat, record, steps
 
-SMALL = (SteadyCurrent, ThrusterGain, ConstantWrench, LinearDamping, QuadraticDamping)
+SMALL = (
+    SteadyCurrent,
+    ThrusterGain,
+    Saturation,
+    ExchangedThrusters,
+    ConstantWrench,
+    LinearDamping,
+    QuadraticDamping,
+)
 WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
 
 
@@ -38,7 +49,7 @@ WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
 def _small():
     """Fewer blocks are held: some are let go, and a snapshot is written, after 24 s and not after 80."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (_judge, _ledger, _saved):
+        for module in (_ledger, _passage):
             patch.setattr(module, "CHUNK", 24)
         patch.setattr(_judge, "OPENING", 20)
         yield
@@ -151,14 +162,67 @@ def test_a_suspect_that_cannot_be_is_none(unchecked):
         signed = dataclasses.replace(account, said=(chi2, sign * np.sign(size) * slope, information))
         judge: Any = object.__new__(_judge.Judge)
         judge.members = ()
-        judge.ledger = SimpleNamespace(
+        ledger = SimpleNamespace(
             bench=SimpleNamespace(layout=layout),
             suspicions=suspects,
             since=lambda account: since_each(account, 24, 4, np.arange(24.0), np.full(24, 10)),
         )
+        judge.passage = SimpleNamespace(ledger=ledger)
         return judge._possible(signed, Member(0, -np.inf))
 
     assert judged(1.0) and not judged(-1.0)
+
+
+# --- blocks that are linear about something ------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def begun(broken) -> Watch:
+    """A watch before it has estimated what disturbs the boat."""
+    watch = Watch(boat(), catalogue=SMALL)
+    for row in list(rows_of(broken))[:100]:
+        watch.update(row)
+    return watch
+
+
+def test_blocks_about_an_effect_are_those_of_a_craft_that_has_it(begun):
+    passage = begun.parts.passage
+    bench, layout = passage.bench, passage.bench.layout
+    placed, z, own = [], np.zeros(layout.size), []
+    for effect, target, parameter, value in (
+        ("thruster_gain", "port", "factor", 0.5),
+        ("quadratic_damping", "surge", "value", 25.0),
+    ):
+        suspect = suspect_named(boat(), effect, target)
+        placed.append(Placed(place(suspect, boat(), {parameter: value}), target))
+        i = layout.place_of(placed[-1])
+        z += layout.columns[i][:, 0] * (value - layout.neutral_of(i)[0])
+        own.append(layout.columns[i][:, 0])
+    other = Bench.with_noise(boat().place(*placed), bench.noise, bench.dt, SMALL)
+    rows = passage.rows.part(0, bench.past + bench.steps + 1)
+
+    def told(bench, z):
+        window = bench.window(rows, None, LONG, False, 1, z)
+        return window.line.residual, window.end
+
+    for mine, theirs in zip(told(bench, z), told(other, np.zeros(layout.size)), strict=True):
+        np.testing.assert_allclose(mine[..., -1] + mine[..., :-1] @ z, theirs[..., -1], atol=1e-9)
+        # A factor beside that of one half counts half as much; damping adds up.
+        for column, share in zip(own, (0.5, 1.0), strict=True):
+            np.testing.assert_allclose(
+                share * mine[..., :-1] @ column, theirs[..., :-1] @ column, rtol=1e-6, atol=1e-9
+            )
+
+
+def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
+    passage = begun.parts.passage
+    account = passage.ledger.accounts[0]
+    again = passage.again(np.zeros(len(passage.bench.base)), (), account)
+    held = passage.ledger.held
+    assert again.ledger.held == held > 10 and again.ledger.blocks == passage.ledger.blocks
+    np.testing.assert_array_equal(again.ledger.begun_at[:held], passage.ledger.begun_at[:held])
+    for mine, theirs in zip(again.ledger.accounts[0].said, account.said, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
 
 
 # --- a watch -------------------------------------------------------------------------------------
@@ -209,6 +273,39 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed():
     np.testing.assert_allclose(status.size, size[[0, 1, 5]], rtol=0.6)
     # Expected of a position that is measured to a centimetre or two.
     np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
+
+
+def test_an_effect_without_a_slope_is_named_and_nothing_after_it():
+    """Thrusters that give no more than two fifths, of a file that has no limit."""
+    limited = place(suspect_named(boat(), "saturation", None), boat(), {"limit": 0.4})
+    watch = Watch(boat(), catalogue=SMALL)
+    for row in rows_of(record(boat().place(Placed(limited, None)), steps(200, 2), seed=3)):
+        watch.update(row)
+    (name,) = watch.named
+    value, std, _ = name.parameters["limit"]
+    assert name.label == "saturation" and abs(value - 0.4) < 4 * std < 0.2
+    assert not watch.status.undecided
+
+
+def test_columns_that_are_exchanged_are_named_and_kept(tmp_path):
+    """A watch that was kept then goes on with them as they are."""
+    log = record(boat(), steps(260, 5), seed=7)
+    wrong = dataclasses.replace(log, commands=log.commands[:, [1, 0, 2]])
+    first, second = Watch(boat(), catalogue=SMALL), Watch(boat(), catalogue=SMALL)
+    rows = list(rows_of(wrong))
+    for row in rows[:200]:
+        first.update(row)
+    assert [one.label for one in first.named] == ["exchanged_thrusters:port+starboard"]
+    _saved.write_state(first, tmp_path / "state", None)
+    _saved.restore(second, tmp_path / "state")
+    for row in rows[200:]:
+        assert first.update(row) == second.update(row)
+    for watch in (first, second):
+        (placed,) = watch.extended.placed
+        assert placed.target == "port+starboard" and len(watch.named) == 1
+    for label, nats in first.status.nats.items():
+        assert nats < first.status.bound
+        assert second.status.nats[label] == pytest.approx(nats, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -275,7 +372,7 @@ def test_gaps_and_clocks_that_jump_back_are_told_and_lose_nothing(broken):
     assert sum("count once" in said for said in told) == 1
     status = watch.status
     # All whole blocks of three stretches, of 6 rows with one more each.
-    block = watch.parts.bench.steps
+    block = watch.parts.passage.bench.steps
     assert status.blocks == (130 - 1) // block + (20 - 1) // block + (20 - 1) // block
     assert not status.named and max(status.nats.values()) < 5.0
 
@@ -295,6 +392,7 @@ def test_rows_that_are_not_this_craft_s_are_refused_and_bad_ones_left_out():
 
 def test_memory_stays_the_same(watched):
     watch, _ = watched
-    bench, course, ledger, _ = watch.parts
+    passage, _ = watch.parts
+    bench, course, ledger = passage.bench, passage.course, passage.ledger
     assert ledger.let_go >= 1 and len(course.rows) < bench.past + 3 * bench.steps
     assert ledger.held <= 2 * _ledger.CHUNK and len(ledger.accounts) <= 2

@@ -6,13 +6,14 @@ catalogue at once. Arrays have one shape from the first block to the last, so th
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._compiled import compiled
 from .._errors import InputError
@@ -69,6 +70,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.t)
 
+    def driven(self, columns: Int[np.ndarray, " columns"]) -> "Rows":
+        """The rows if these were the columns of their commands."""
+        return dataclasses.replace(self, commands=self.commands[:, columns])
+
     def part(self, first: int | None, end: int | None = None) -> "Rows":
         return Rows(*(one[first:end] for one in self.arrays))
 
@@ -98,6 +103,7 @@ class Bench:
     """
 
     vehicle: Vehicle
+    catalogue: tuple[type[AbstractEffect], ...]
     families: tuple[AbstractEffect, ...]
     layout: Layout
     base: tuple[Coefficient, ...]
@@ -130,6 +136,7 @@ class Bench:
         axes = np.flatnonzero(vehicle.free)
         return cls(
             vehicle,
+            tuple(catalogue),
             families,
             layout,
             base_coefficients(vehicle, layout),
@@ -148,12 +155,17 @@ class Bench:
         return round(PAST / self.dt)
 
     @property
+    def length(self) -> float:
+        """Of a window [s]."""
+        return self.whole * self.steps * self.dt
+
+    @property
     def settling(self) -> float:
         """In which actuators forget what they were told before a stretch [s]."""
         drive = self.vehicle.plant().drive
         return min(float(jnp.max(4.0 * drive.lag + drive.delay, initial=0.0)), PAST)
 
-    @property
+    @functools.cached_property
     def usual(self) -> Disturbance:
         """The disturbance that is assumed before any was estimated."""
         return self.force(USUAL_SIZE.median * self.unit, np.full(len(self.axes), USUAL_MEMORY.median))
@@ -165,9 +177,24 @@ class Bench:
             jnp.asarray(size), jnp.asarray(time), nothing, jnp.zeros(1), jnp.zeros(1, bool), self.axes, flows
         )
 
-    @property
-    def spread(self) -> Array:
-        return start_spread(jnp.asarray(start_precision(self.vehicle.free)))
+    @functools.cached_property
+    def start(self) -> Float[Array, "12"]:
+        """Precision of where a window begins."""
+        return jnp.asarray(start_precision(self.vehicle.free))
+
+    @functools.cached_property
+    def spread(self) -> Float[Array, "12"]:
+        return start_spread(self.start)
+
+    @functools.cached_property
+    def saturated(self) -> SaturatedPlant:
+        return SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed))))
+
+    @functools.cached_property
+    def about_neutral(self) -> Affine:
+        """The parameters of the whole catalogue, each by a z of its own."""
+        size = self.layout.size
+        return Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
 
     @property
     def nothing(self) -> Message:
@@ -183,11 +210,20 @@ class Bench:
         """Integration steps per sample, at the fastest that the craft goes."""
         return substeps(self.vehicle, self.dt, speed)
 
-    def window(self, rows: Rows, begun: "Begun | None", gap: float, joined: bool, split: int) -> Windowed:
+    def window(
+        self,
+        rows: Rows,
+        begun: "Begun | None",
+        gap: float,
+        joined: bool,
+        split: int,
+        z: Float[np.ndarray, " z"],
+    ) -> Windowed:
         """A block as a linear system.
 
         - `rows`: what there is of `past` rows before it, its own, and one more, that ends its last hold.
         - `begun`: what all before it lets one expect; None: as measured. `gap`, `joined`: see `Disturbance`.
+        - `z`: which parameters it is linear about; it tells of them all as seen from neutral.
         """
         short = self.past + self.steps + 1 - len(rows.t)
         before = rows.t[0] - self.dt * np.arange(short, 0, -1)
@@ -233,21 +269,24 @@ class Bench:
             velocity=jnp.asarray(begun.velocity[None]),
         )
         problem = Problem(
-            SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed)))),
+            self.saturated,
             records,
             windows,
-            jnp.asarray(start_precision(self.vehicle.free)),
+            self.start,
             self.channels,
             jnp.asarray(split),
             apart=False,
             axes=self.vehicle.axes,
         )
-        size = self.layout.size
-        affine = Affine(jnp.asarray(self.layout.neutral[None]), jnp.eye(size), jnp.ones((1, size)))
+        theta = jnp.asarray((self.layout.neutral + z)[None])
+        affine = dataclasses.replace(self.about_neutral, theta=theta)
         force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
         path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.push[None]))
-        window = lines(problem, affine, force, path)[0]
-        return jax.tree.map(lambda a: np.asarray(a)[0], window)
+        window = jax.tree.map(lambda a: np.asarray(a)[0], lines(problem, affine, force, path)[0])
+        residual, end = np.array(window.line.residual), np.array(window.end)
+        residual[..., -1] -= residual[..., :-1] @ z
+        end[..., -1] -= end[..., :-1] @ z
+        return dataclasses.replace(window, line=dataclasses.replace(window.line, residual=residual), end=end)
 
     @property
     def empty(self) -> Windowed:
@@ -280,13 +319,18 @@ class Begun(NamedTuple):
         return self.push[:-FLOW]
 
 
-def expected(message: Message, force: Disturbance, after: float) -> Begun:
-    """State where a block ends, and the push so long after [s], by all that was measured until then."""
-    mean, end = np.asarray(message.mean)[:, -1], np.asarray(message.end)[:, -1]
-    state = end - mean[:13]
+def expected(message: Message, force: Disturbance, after: float, z: Float[np.ndarray, " z"]) -> Begun:
+    """State where a block ends, and the push so long after [s], by all that was measured until then, at z."""
+    state, left = map(np.asarray, _expected(message, force, jnp.asarray(after), jnp.asarray(z)))
     turn = state[3:7] / np.linalg.norm(state[3:7])
-    left = force.output @ force.after(jnp.asarray(after), jnp.asarray(mean[13:, None]))
-    return Begun(state[:3], turn, state[7:], -np.asarray(left)[:, 0])
+    return Begun(state[:3], turn, state[7:], -left)
+
+
+@compiled
+def _expected(message: Message, force: Disturbance, after: Array, z: Array) -> tuple[Array, Array]:
+    at = jnp.append(z, 1.0)
+    mean, end = message.mean @ at, message.end @ at
+    return end - mean[:13], (force.output @ force.after(after, mean[13:, None]))[:, 0]
 
 
 @compiled

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from .._types import MOTION
 from ..fitting import GAP, Windowed
 from ._blocks import LONG, Begun, Bench, Rows
+from ._evidence import Acting
 
 
 class Course:
@@ -22,6 +23,12 @@ class Course:
         self.bench = bench
         self.speed, self.split = np.zeros(6), 1
         self.interrupt(LONG)
+
+    def anew(self) -> "Course":
+        """One of the same craft, at its beginning."""
+        out = Course(self.bench)
+        out.speed, out.split = self.speed, self.split
+        return out
 
     def interrupt(self, gap: float) -> None:
         """Begins a new stretch; rows of the old one that fill no block are of no use."""
@@ -47,8 +54,8 @@ class Course:
             self.speed = np.maximum(self.speed, 1.5 * speed)
             self.split = self.bench.split(self.speed)
 
-    def cut(self) -> tuple[Windowed, Rows] | None:
-        """The next block and its rows, None where there are not enough yet."""
+    def cut(self, about: Acting) -> tuple[Windowed, Rows] | None:
+        """The next block, linear about what acts in it, and its rows; None where there are not enough yet."""
         bench = self.bench
         ready = (0 if self.rows is None else len(self.rows)) + len(self.waiting)
         if ready < self.next + bench.steps + 1:
@@ -62,7 +69,8 @@ class Course:
         own = self.rows.part(self.next, end)
         self.quicken(own)
         joined = self.within % bench.whole > 0
-        window = bench.window(self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split)
+        z = about.at(own.t[0])
+        window = bench.window(self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split, z)
         return window, self.rows.part(self.next, end + 1)
 
     def go_on(self, begun: Begun) -> None:

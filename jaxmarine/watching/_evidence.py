@@ -39,6 +39,17 @@ class Member(NamedTuple):
     since: float
 
 
+class Acting(NamedTuple):
+    """What acts over time: parameters z, each part from a time on [s]."""
+
+    parts: tuple[tuple[float, Float[np.ndarray, " z"]], ...]
+
+    def at(self, t) -> Float[np.ndarray, "*times z"]:
+        """z at some times [s]."""
+        t = np.asarray(t)[..., None]
+        return sum(((t >= since - 1e-9) * z for since, z in self.parts), start=np.zeros(()))
+
+
 @dataclasses.dataclass(frozen=True)
 class Suspicions:
     """The columns of z: those of the file's coefficients, with their prior, and those of each suspect."""
@@ -67,9 +78,22 @@ class Suspicions:
         _, h, g = self._known(since, members)
         return -solve(h, g)
 
-    def covariance(self, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
+    def acting(self, known: Float[np.ndarray, " known"], members: Sequence[Member]) -> Acting:
+        """What acts over time by numbers as `estimate` gives them."""
+        always = np.zeros(len(self.columns[0]))
+        always[self.base] = known[: len(self.base)]
+        parts = zip(members, self.parts_of(known, members), strict=True)
+        return Acting(((-np.inf, always), *((m.since, self.columns[m.suspect] @ z) for m, z in parts)))
+
+    def parts_of(self, known: np.ndarray, members: Sequence[Member]) -> list[np.ndarray]:
+        """Those of what is known that are each member's."""
+        ends = len(self.base) + np.cumsum([0, *(self.columns[m.suspect].shape[1] for m in members)])
+        return np.split(known, ends)[1:-1]
+
+    def errors(self, since: Sequence[Sum], members: Sequence[Member]) -> Float[np.ndarray, " known"]:
+        """Standard errors of what is known."""
         _, h, _ = self._known(since, members)
-        return solve(h, np.eye(len(h)))
+        return np.sqrt(np.diag(solve(h, np.eye(len(h)))))
 
     def gained(self, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Nats by which the known parameters make all likelier than z = 0 does, the file's integrated out."""

@@ -2,7 +2,8 @@
 
 What is said of the last minute or two is said beside a disturbance whose sizes and memories were estimated
 on just these blocks, beside the model that is compared: so much a diagnosis would do. What is older keeps
-what it was judged by.
+what it was judged by. By slopes a suspect is found; who it is the rows decide, told once more about each
+(`_rivals.py`).
 
 When to be sure: the ratio of a suspect's likelihood to that of none is a martingale where nothing is wrong.
 A sum of such ratios over all suspects, one begun at every window, passes a bound in no less than bound
@@ -19,20 +20,25 @@ import numpy as np
 
 from ..diagnosis import Criteria
 from ..fitting import unusual
+from ..vehicle import Placed
 from ._evidence import Member, Sum
-from ._ledger import CHUNK, Account, Ledger
+from ._ledger import Account, Ledger
+from ._passage import Passage
+from ._rivals import HOPEFUL, Rival, Weighed, rivals
 from ._status import Name, moment_of
 
 # Blocks after which sizes and memories are estimated first: 32 s, some memories of a usual disturbance.
 OPENING = 64
 # Blocks from one look at the suspects to the next, and between estimates that a suspicion asks for.
 LOOK, PATIENCE = 4, 16
+# To which patience doubles: five minutes, as telling all rivals anew takes up to one.
+MOST_PATIENT = 600
 # Nats from which on a disturbance is estimated beside the leading suspect as well.
 LEADS = 3.0
-# Rivals with a disturbance of their own each before one is named; those with this share of the best's nats.
-RIVALS, HOPEFUL = 3, 0.5
+# Rivals with a disturbance of their own each before one is named; of those that are `HOPEFUL`.
+RIVALS = 3
 DAY = 86400.0
-WANDERING = "a current that wanders"
+WANDERING, UNSUSPECTED = "a current that wanders", "a cause that is not suspected"
 
 
 class Judge:
@@ -40,21 +46,26 @@ class Judge:
 
     - `bound` [nats]: from which on a suspect is named. `nats`: of each suspect at its best beginning, as last
       weighed.
-    - `members`: those that are named, `named` in words; `undecided`: labels that explain the blocks alike.
+    - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
+      blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
     """
 
-    def __init__(self, ledger: Ledger, false_alarms: float):
-        self.ledger = ledger
-        bench = ledger.bench
-        window = bench.whole * bench.steps * bench.dt
-        chances = len(bench.layout.suspects) * DAY / window
+    def __init__(self, passage: Passage, false_alarms: float):
+        self.passage = passage
+        bench = passage.bench
+        chances = len(bench.layout.suspects) * DAY / bench.length
         self.bound = float(np.log(chances / false_alarms)) if false_alarms else np.inf
         self.members: tuple[Member, ...] = ()
+        self.exchanged: tuple[Placed, ...] = ()
         self.named: tuple[Name, ...] = ()
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
         self.estimated_at, self.patience = -1, PATIENCE
+
+    @property
+    def ledger(self) -> Ledger:
+        return self.passage.ledger
 
     def judge(self) -> list[str]:
         """After each block; what is new."""
@@ -63,8 +74,8 @@ class Judge:
         if ledger.full or (opening and ledger.held >= OPENING):
             self._estimate()
             told = self._look()
-            if ledger.full:
-                ledger.release([m.since for m in self.members if m.since > -np.inf])
+            if self.ledger.full:
+                self.ledger.release([m.since for m in self.members if m.since > -np.inf])
             return told
         return [] if opening or ledger.blocks % LOOK else self._look()
 
@@ -129,54 +140,73 @@ class Judge:
         if waited:
             if waited < self.patience:
                 return []
-            self.patience = min(2 * self.patience, CHUNK)
+            self.patience = min(2 * self.patience, MOST_PATIENT)
             self._estimate()
             suspected += self._hopeful()
         return self._decide(list({one.suspect: one for one in suspected}.values()))
 
     def _decide(self, hopeful: Sequence[Member]) -> list[str]:
-        """Names the best suspect, each weighed beside a disturbance of its own, if it is sure."""
+        """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure."""
         ledger = self.ledger
         first = ledger.accounts[0]
         level = max(ledger.likelihood(a, ledger.since(a), self.members) for a in ledger.accounts)
-        weighed: list[tuple[float, Member, Account]] = []
+        weighed: list[Weighed] = []
         for member in hopeful:
             own = ledger.accounts[-1].branched()
             ledger.estimate(own, (*self.members, member))
             found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
             nats, since, account = max(found, key=lambda one: one[0])
-            weighed.append((nats, Member(member.suspect, since), account))
-        weighed = [one for one in weighed if self._possible(one[2], one[1])]
-        weighed.sort(key=lambda one: -one[0])
-        if not weighed or weighed[0][0] < self.bound:
+            weighed.append(Weighed(nats, Member(member.suspect, since), account))
+        weighed = [one for one in weighed if self._possible(one.account, one.member)]
+        weighed.sort(key=lambda one: -one.nats)
+        if not weighed or weighed[0].nats < self.bound:
             self.undecided = ()
             return []
-        nats, member, own = weighed[0]
-        least = nats - Criteria().close
-        close = [self.label(m.suspect) for n, m, _ in weighed[1:] if n > least]
-        if self._wandering(member, own, level) > least:
-            close.append(WANDERING)
+        compared = rivals(self.passage, self.members, weighed, self.bound)
+        if not compared:
+            return self._cannot_tell((UNSUSPECTED,), weighed[0].nats, weighed[0].member.since)
+        best, least = compared[0], Criteria().close
+        if best.nats < self.bound:
+            self.undecided = ()
+            return []
+        close = [one.label for one in compared[1:] if one.nats > best.nats - least]
+        for one in weighed:
+            if self.label(one.member.suspect) == best.label:
+                wandering = self._wandering(one.member, one.account, level)
+                close += [WANDERING] if wandering > one.nats - least else []
         if close:
-            both = (self.label(member.suspect), *close)
-            if {*both} == {*self.undecided}:
-                return []
-            self.undecided = both
-            return [
-                f"t = {ledger.t:g} s: something is wrong, {moment_of(_time(member))} ({nats:.0f} nats); what "
-                f"it is cannot be told yet, {', '.join(both)} explain it alike."
-            ]
+            return self._cannot_tell((best.label, *close), best.nats, best.since)
+        return self._name(best)
+
+    def _cannot_tell(self, labels: tuple[str, ...], nats: float, since: float) -> list[str]:
+        """That something is wrong, unless that was said."""
+        if {*labels} == {*self.undecided}:
+            return []
+        self.undecided = labels
+        why = f"what it is cannot be told yet, {', '.join(labels)} explain it alike"
+        if labels == (UNSUSPECTED,):
+            why = "none of the suspects explains it"
+        when = moment_of(_time(since))
+        return [f"t = {self.ledger.t:g} s: something is wrong, {when} ({nats:.0f} nats); {why}."]
+
+    def _name(self, best: Rival) -> list[str]:
+        """Takes a suspect into the model, which goes on linear about it."""
         self.undecided, self.patience = (), PATIENCE
-        self.members = (*self.members, member)
-        ledger.accounts = [own if own is not first else first.branched()]
-        name = Name(
-            self.label(member.suspect), _time(member), ledger.t, nats, self.parameters(len(self.members) - 1)
-        )
+        self.passage.adopt(best.told.passage)
+        self.members, self.estimated_at = best.told.members, self.ledger.blocks
+        numbers = {} if best.exchanged else self.parameters(len(self.members) - 1)
+        if best.exchanged:
+            # Older rows told of another craft.
+            self.ledger.forget()
+            self.exchanged = (*self.exchanged, best.exchanged)
+        name = Name(best.label, _time(best.since), self.ledger.t, best.nats, numbers)
         self.named = (*self.named, name)
         self.nats = self._weigh()[1].max(axis=1)
         values = ", ".join(f"{k} = {v:.3g} ± {s:.2g}" for k, (v, s, _) in name.parameters.items())
+        values = f": {values}" if values else ""
         return [
-            f"t = {ledger.t:g} s: {name.label}, {moment_of(name.since)}: {values} ({nats:.0f} nats; named "
-            f"from {self.bound:.0f})."
+            f"t = {name.at:g} s: {name.label}, {moment_of(name.since)}{values} ({name.nats:.0f} nats; "
+            f"named from {self.bound:.0f})."
         ]
 
     def _worth(self, account: Account, suspect: int, level: float) -> tuple[float, float]:
@@ -226,13 +256,8 @@ class Judge:
     ) -> tuple[np.ndarray, np.ndarray]:
         """z of one of some members, all estimated beside an account, and its standard errors."""
         suspicions, since = self.ledger.suspicions, self.ledger.since(account)
-        z = suspicions.estimate(since, members)
-        std = np.sqrt(np.diag(suspicions.covariance(since, members)))
-        ends = len(suspicions.base) + np.cumsum(
-            [0, *(suspicions.columns[m.suspect].shape[1] for m in members)]
-        )
-        here = slice(ends[which], ends[which + 1])
-        return z[here], std[here]
+        z, std = suspicions.estimate(since, members), suspicions.errors(since, members)
+        return suspicions.parts_of(z, members)[which], suspicions.parts_of(std, members)[which]
 
 
 def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:
@@ -242,6 +267,6 @@ def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:
     return (0, float(nats[0])) if nats[b] - price < nats[0] else (b, float(nats[b]))
 
 
-def _time(member: Member) -> float | None:
+def _time(since: float) -> float | None:
     """Since when [s], None: always."""
-    return None if member.since == -np.inf else member.since
+    return None if since == -np.inf else since

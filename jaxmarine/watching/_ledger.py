@@ -28,7 +28,7 @@ from ..fitting import (
     with_current,
 )
 from ._blocks import LONG, Begun, Bench, expected, passed, replayed
-from ._evidence import Member, Sum, Suspicions
+from ._evidence import Acting, Member, Sum, Suspicions
 
 # Blocks that are let go at once; twice as many are held at most.
 CHUNK = 80
@@ -83,7 +83,9 @@ class Ledger:
 
     - `held`: blocks at hand; of each `windows`, where it begins `begun_at` [s], and how many numbers were
       measured in it, `counts`.
-    - `blocks`: since the first; `let_go`: how often half of those held were; `t`: where the last ends [s].
+    - `blocks`: since the first; `let_go`: how often half of those held were; `lost`: how many count for
+      nothing; `t`: where the last ends [s].
+    - `about`: what blocks are linear about.
     - `accounts`: the first one is beside what is named, and says where the craft is expected.
     """
 
@@ -96,7 +98,47 @@ class Ledger:
         self.accounts = [Account.blank(bench)]
         self.windows: Windowed = jax.tree.map(lambda a: np.array([a] * most), bench.empty)
         self.begun_at, self.counts = np.zeros(most), np.zeros(most, int)
-        self.held, self.blocks, self.let_go, self.t = 0, 0, 0, -np.inf
+        self.held, self.blocks, self.let_go, self.lost, self.t = 0, 0, 0, 0, -np.inf
+        self.about = Acting(((-np.inf, np.zeros(bench.layout.size)),))
+
+    def anew(
+        self, known: Float[np.ndarray, " known"], members: Sequence[Member], account: Account
+    ) -> "Ledger":
+        """One that holds no blocks, beside the disturbance of an account; what went before them stays.
+
+        Its blocks will be linear about members with known numbers, and about the file's own.
+        """
+        out = Ledger(self.bench)
+        filed = np.arange(len(known)) < len(self.suspicions.base)
+        out.about = self.suspicions.acting(np.where(filed, 0.0, known), members)
+        out.blocks, out.let_go = self.blocks - self.held, self.let_go
+        gates = tuple((self._columns(m.suspect), m.since) for m in members if m.since >= self.begun_at[0])
+        out.accounts = [self._blank(account, gates)]
+        return out
+
+    def _blank(self, account: Account, gates: tuple[Gate, ...]) -> Account:
+        """Before the blocks that are held, beside the disturbance of another account."""
+        first = nothing_known(account.force, self.bench.layout.size + 1)
+        return dataclasses.replace(
+            self.accounts[0].branched(),
+            force=account.force,
+            learned=account.learned,
+            before=first,
+            message=first,
+            gates=gates,
+        )
+
+    def forget(self) -> None:
+        """What was said before the blocks that are held counts no more."""
+        for account in self.accounts:
+            account.sums, account.minus_twice = Account.blank(self.bench).sums, 0.0
+
+    def beside(self, account: Account, members: Sequence[Member]) -> float:
+        """Likelihood of members beside a disturbance that is estimated from that of another account on."""
+        own = self._blank(account, self.accounts[0].gates)
+        self._replay(own)
+        self.estimate(own, members)
+        return self.likelihood(own, self.since(own), members)
 
     @property
     def full(self) -> bool:
@@ -112,14 +154,17 @@ class Ledger:
             kept[k] = new
         self.begun_at[k], self.counts[k] = begins, count
         for account in self.accounts:
-            said, account.message = passed(account.message, window, account.force, self.bench.spread)
+            own = acting_in(window, np.array(begins), account.gates)
+            said, account.message = passed(account.message, own, account.force, self.bench.spread)
             for kept, new in zip(account.said, said, strict=True):
                 kept[k] = new
         first = self.accounts[0]
-        now = expected(first.message, first.force, 0.5 * float(window.line.dt.sum()))
+        half = 0.5 * float(window.line.dt.sum())
+        now = expected(first.message, first.force, half, self.about.at(ends))
         if not all(np.isfinite(one).all() for one in now):
             for account in self.accounts:
                 account.message = nothing_known(account.force, self.bench.layout.size + 1)
+            self.lost += 1
             return None
         self.held, self.blocks, self.t = k + 1, self.blocks + 1, ends
         return now
@@ -160,7 +205,8 @@ class Ledger:
         if gates != account.gates:
             account.gates = gates
             self._replay(account)
-        z = self._acting(self.suspicions.estimate(self.since(account), members), members)
+        known = self.suspicions.estimate(self.since(account), members)
+        z = self.suspicions.acting(known, members).at(self.begun_at)
         line, end = self.windows.line, self.windows.end
         residual = line.residual[..., -1] + np.einsum("bsrz,bz->bsr", line.residual[..., :-1], z)
         ends = end[..., -1] + np.einsum("bsz,bz->bs", end[..., :-1], z)
@@ -238,18 +284,6 @@ class Ledger:
         self.estimate(out, members)
         return out
 
-    def _acting(self, known: np.ndarray, members: Sequence[Member]) -> np.ndarray:
-        """z of each block that is held: the file's coefficients, and members from their beginning on."""
-        at = len(self.suspicions.base)
-        z = np.zeros((2 * CHUNK, self.bench.layout.size))
-        z[:, self.suspicions.base] += known[:at]
-        for member in members:
-            own = self.suspicions.columns[member.suspect]
-            acts = self.begun_at >= member.since - 1e-9
-            z += acts[:, None] * (own @ known[at : at + own.shape[1]])
-            at += own.shape[1]
-        return z
-
     def _gates(self, account: Account, members: Sequence[Member]) -> tuple[Gate, ...]:
         """Columns of members that began among the blocks that are held, or did so when these were held."""
         found = [(self._columns(m.suspect), m.since) for m in members if m.since > -np.inf]
@@ -277,13 +311,7 @@ class Ledger:
     def _filter(self, account: Account, message: Message, first: int, count: int) -> Message:
         """So many blocks from one on; what they leave."""
         part: Windowed = jax.tree.map(lambda a: a[first : first + CHUNK], self.windows)
-        for columns, since in account.gates:
-            early, at = self.begun_at[first : first + CHUNK] < since - 1e-9, np.array(columns)
-            residual, end = np.array(part.line.residual), np.array(part.end)
-            residual[np.ix_(early, *map(np.arange, residual.shape[1:3]), at)] = 0.0
-            end[np.ix_(early, np.arange(end.shape[1]), at)] = 0.0
-            line = dataclasses.replace(part.line, residual=jnp.asarray(residual))
-            part = dataclasses.replace(part, line=line, end=jnp.asarray(end))
+        part = acting_in(part, self.begun_at[first : first + CHUNK], account.gates)
         said, message = replayed(message, part, account.force, self.bench.spread, jnp.asarray(count))
         for kept, new in zip(account.said, said, strict=True):
             kept[first : first + CHUNK] = new
@@ -319,6 +347,16 @@ class Ledger:
         for kept in (*jax.tree.leaves(self.windows), self.begun_at, self.counts):
             kept[:CHUNK] = kept[CHUNK:]
         self.held, self.let_go = self.held - CHUNK, self.let_go + 1
+
+
+def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: Sequence[Gate]) -> Windowed:
+    """One block or several without a trace of what has not begun in them."""
+    for columns, since in gates:
+        acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
+        acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
+        line = dataclasses.replace(blocks.line, residual=blocks.line.residual * acts[..., None, None, :])
+        blocks = dataclasses.replace(blocks, line=line, end=blocks.end * acts[..., None, :])
+    return blocks
 
 
 def since_each(account: Account, held: int, every: int, begun, counts) -> list[Sum]:

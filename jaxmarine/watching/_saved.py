@@ -19,9 +19,11 @@ import numpy as np
 
 from .._errors import InputError
 from .._files import written_whole
+from ..effects import ExchangedThrusters
+from ..vehicle import Placed
 from ._blocks import Begun, Bench, Rows
-from ._evidence import Member, Sum
-from ._ledger import CHUNK, Account
+from ._evidence import Acting, Member, Sum
+from ._ledger import Account
 from ._status import Name
 from ._watch import Watch
 
@@ -29,7 +31,7 @@ from ._watch import Watch
 Place = list[int] | None
 
 # Of what is written: another one when it changes.
-FORMAT = 2
+FORMAT = 3
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
@@ -74,10 +76,10 @@ class Kept:
 
     def after(self, watch: Watch, place: Place) -> None:
         """Writes a snapshot where the watch has let blocks go since the last one."""
-        if watch.parts is None or watch.parts.ledger.let_go == max(self._generation, 0):
+        if watch.parts is None or watch.parts.passage.ledger.let_go == max(self._generation, 0):
             return
         write_state(watch, self.path, place)
-        self._generation = watch.parts.ledger.let_go
+        self._generation = watch.parts.passage.ledger.let_go
         self._file.close()
         # Rows of an older generation are read no more, whether they go or a kill comes first.
         self._file = self.journal.open("wb")
@@ -99,10 +101,13 @@ def _print_of(watch: Watch) -> str:
 def write_state(watch: Watch, path: Path, place: Place) -> None:
     """Writes all that a watch holds, whole or not at all."""
     assert watch.parts is not None
-    bench, course, ledger, judge = watch.parts
+    passage, judge = watch.parts
+    bench, course, ledger = passage.bench, passage.course, passage.ledger
+    held = ledger.held
     arrays: dict[str, Any] = {"noise": bench.noise, "speed": course.speed}
-    arrays |= {"begun_at": ledger.begun_at[:CHUNK], "counts": ledger.counts[:CHUNK]}
-    arrays |= {f"windows{i}": leaf[:CHUNK] for i, leaf in enumerate(jax.tree.leaves(ledger.windows))}
+    arrays["columns"] = passage.columns
+    arrays |= {"begun_at": ledger.begun_at[:held], "counts": ledger.counts[:held]}
+    arrays |= {f"windows{i}": leaf[:held] for i, leaf in enumerate(jax.tree.leaves(ledger.windows))}
     if judge.nats is not None:
         arrays["nats"] = judge.nats
     for i, account in enumerate(ledger.accounts):
@@ -110,10 +115,11 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
             for j, leaf in enumerate(jax.tree.leaves(getattr(account, what))):
                 arrays[f"{what}{i}_{j}"] = np.asarray(leaf)
         arrays[f"learned{i}"] = account.learned
-        arrays |= {f"said{i}_{j}": one[:CHUNK] for j, one in enumerate(account.said)}
+        arrays |= {f"said{i}_{j}": one[:held] for j, one in enumerate(account.said)}
         arrays |= {f"sums{i}_{j}": np.array(one) for j, one in enumerate(zip(*account.sums, strict=True))}
+    arrays |= {f"about{j}": z for j, (_, z) in enumerate(ledger.about.parts)}
     waiting = Rows.joined(*course.waiting) if course.waiting else None
-    for what, some in (("rows", course.rows), ("waiting", waiting)):
+    for what, some in (("rows", course.rows), ("waiting", waiting), ("recent", passage.rows)):
         arrays |= {f"{what}{j}": one for j, one in enumerate(() if some is None else some.arrays)}
     if course.begun is not None:
         arrays |= {f"begun{j}": np.asarray(one) for j, one in enumerate(course.begun)}
@@ -127,7 +133,10 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         "ledger": [_plain(getattr(ledger, name)) for name in _LEDGER],
         "judge": [_plain(getattr(judge, name)) for name in _JUDGE],
         "accounts": [[account.minus_twice, account.gates] for account in ledger.accounts],
-        "members": [[m.suspect, None if m.since == -np.inf else m.since] for m in judge.members],
+        "about": [_or_none(since) for since, _ in ledger.about.parts],
+        "set_back": [k for k, (_, set_back) in enumerate(passage.recent) if set_back],
+        "members": [[m.suspect, _or_none(m.since)] for m in judge.members],
+        "exchanged": [one.target for one in judge.exchanged],
         "named": [dataclasses.asdict(one) for one in judge.named],
         "undecided": judge.undecided,
         "told": watch.told,
@@ -138,6 +147,15 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         np.savez(file, allow_pickle=False, **arrays)
         file.flush()
         os.fsync(file.fileno())
+
+
+def _or_none(since: float) -> float | None:
+    """JSON knows no infinity."""
+    return None if since == -np.inf else since
+
+
+def _or_always(since: float | None) -> float:
+    return -np.inf if since is None else since
 
 
 def _plain(value):
@@ -158,9 +176,12 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
         raise InputError(f"{path}: is the state of a watch of another version; remove it, or choose another.")
     if meta["vehicle"] != _print_of(watch):
         raise InputError(f"{path}: is the state of a watch of another vehicle; choose another, or remove it.")
-    _, course, ledger, judge = watch.begin(
+    passage, judge = watch.begin(
         Bench.with_noise(watch.vehicle, arrays["noise"], meta["dt"], watch.catalogue)
     )
+    judge.exchanged = tuple(Placed(ExchangedThrusters(), target) for target in meta["exchanged"])
+    passage.columns = arrays["columns"]
+    course, ledger = passage.course, passage.ledger
     for part, names in (("course", _COURSE), ("ledger", _LEDGER), ("judge", _JUDGE)):
         one = {"course": course, "ledger": ledger, "judge": judge}[part]
         for name, value in zip(names, meta[part], strict=True):
@@ -173,14 +194,20 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
     course.rows = Rows(*some) if (some := several("rows")) else None
     course.waiting = [Rows(*some)] if (some := several("waiting")) else []
     course.begun = Begun(*some) if (some := several("begun")) else None
-    ledger.begun_at[:CHUNK], ledger.counts[:CHUNK] = arrays["begun_at"], arrays["counts"]
+    held = ledger.held
+    ledger.begun_at[:held], ledger.counts[:held] = arrays["begun_at"], arrays["counts"]
     for i, leaf in enumerate(jax.tree.leaves(ledger.windows)):
-        leaf[:CHUNK] = arrays[f"windows{i}"]
+        leaf[:held] = arrays[f"windows{i}"]
     ledger.accounts = [
         _account(ledger.accounts[0].branched(), arrays, i, *one) for i, one in enumerate(meta["accounts"])
     ]
     judge.nats = arrays.get("nats")
-    judge.members = tuple(Member(i, -np.inf if t is None else t) for i, t in meta["members"])
+    ledger.about = Acting(
+        tuple((_or_always(since), arrays[f"about{j}"]) for j, since in enumerate(meta["about"]))
+    )
+    recent = Rows(*several("recent"))
+    passage.recent.extend((recent.part(k, k + 1), k in meta["set_back"]) for k in range(len(recent)))
+    judge.members = tuple(Member(i, _or_always(since)) for i, since in meta["members"])
     judge.named = tuple(_name(one) for one in meta["named"])
     judge.undecided, watch.told = tuple(meta["undecided"]), meta["told"]
     intake = watch.intake
@@ -198,7 +225,8 @@ def _account(blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice:
         filled = [jnp.asarray(arrays[f"{what}{i}_{j}"]) for j in range(len(leaves))]
         setattr(blank, what, jax.tree.unflatten(form, filled))
     for j, one in enumerate(blank.said):
-        one[:CHUNK] = arrays[f"said{i}_{j}"]
+        said = arrays[f"said{i}_{j}"]
+        one[: len(said)] = said
     sums = zip(*(arrays[f"sums{i}_{j}"] for j in range(4)), strict=True)
     blank.sums = [Sum(float(t), int(seen), g, h) for t, seen, g, h in sums]
     blank.minus_twice, blank.learned = minus_twice, arrays[f"learned{i}"]

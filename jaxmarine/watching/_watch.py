@@ -1,7 +1,7 @@
 """A craft that is watched: rows go in, and what is wrong, since when, comes out.
 
-rows -> course -> ledger -> judge
-        (blocks)  (filter)  (names)
+rows -> passage: course -> ledger -> judge
+                 (blocks)  (filter)  (names)
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,10 +14,9 @@ from .._precision import need_double
 from .._types import DOFS
 from ..effects import CATALOGUE, AbstractEffect, ThrusterGain, place
 from ..vehicle import Placed, Vehicle
-from ._blocks import LONG, Bench, Rows
-from ._course import Course
+from ._blocks import Bench, Rows
 from ._judge import Judge
-from ._ledger import Ledger
+from ._passage import Passage
 from ._rows import Intake
 from ._status import Name, Status
 
@@ -34,9 +33,7 @@ MOST_TOLD = 200
 class Parts(NamedTuple):
     """What there is once the rows have told their sample time and noise."""
 
-    bench: Bench
-    course: Course
-    ledger: Ledger
+    passage: Passage
     judge: Judge
 
 
@@ -90,41 +87,21 @@ class Watch:
         assert self.intake.driven is not None
         log = rows.log(self.vehicle, self.intake.driven, "rows")
         parts = self.begin(Bench.of(self.vehicle, log, self.catalogue))
-        parts.course.quicken(rows)
+        parts.passage.course.quicken(rows)
         first, self.opening = self.opening, []
         return [said for one in first for said in self._take(parts, one, False)]
 
     def begin(self, bench: Bench) -> Parts:
         """With nothing known, on what stays the same from block to block."""
-        ledger = Ledger(bench)
-        self.parts = Parts(bench, Course(bench), ledger, Judge(ledger, self.false_alarms))
+        passage = Passage(bench)
+        self.parts = Parts(passage, Judge(passage, self.false_alarms))
         return self.parts
 
     def _take(self, parts: Parts, one: Rows, set_back: bool) -> list[str]:
-        """Takes a row, and judges the block that it completes, if it does."""
-        bench, course, ledger, judge = parts
+        """Takes a row, and judges each block that it completes."""
         told = []
-        gap = LONG if set_back else course.gap_before(one)
-        if gap:
-            course.interrupt(gap)
-        if gap and not set_back:
-            t = float(one.t[0])
-            told += [
-                f"Nothing came from t = {t - gap:g} to {t:g} s; motion begins anew there, evidence is kept."
-            ]
-        course.waiting.append(one)
-        while (block := course.cut()) is not None:
-            window, rows = block
-            seen = int(np.isfinite(rows.channels[:-1, list(bench.channels)]).sum())
-            begun = ledger.add(window, float(rows.t[0]), float(rows.t[-1]), seen)
-            if begun is None:
-                course.interrupt(LONG)
-                told.append(
-                    f"The craft runs away from what is expected at t = {rows.t[0]:g} s; motion begins anew."
-                )
-            else:
-                course.go_on(begun)
-                told += judge.judge()
+        for said in parts.passage.take(one, set_back):
+            told += parts.judge.judge() if said is None else [said]
         return told
 
     # --- what it offers --------------------------------------------------------------------------
@@ -137,16 +114,17 @@ class Watch:
     @property
     def status(self) -> Status:
         """Where it stands now."""
-        if self.parts is None or not self.parts.ledger.blocks:
+        if self.parts is None or not self.parts.passage.ledger.blocks:
             names = tuple(DOFS[i] for i in self.vehicle.axes)
             return Status(-np.inf, 0, None, names, (), (), {}, np.inf, (), (), ())
-        bench, course, ledger, judge = self.parts
+        (passage, judge), bench = self.parts, self.parts.passage.bench
+        ledger = passage.ledger
         force = ledger.accounts[0].force
         nats = () if judge.nats is None else judge.nats
         return Status(
             ledger.t,
             ledger.blocks,
-            course.begun,
+            passage.course.begun,
             tuple(DOFS[axis] for axis in bench.axes),
             tuple(np.asarray(force.size).tolist()),
             tuple(np.asarray(force.time).tolist()),
@@ -166,7 +144,7 @@ class Watch:
         """
         if self.parts is None:
             return ()
-        bench, _, ledger, _ = self.parts
+        bench, ledger = self.parts.passage.bench, self.parts.passage.ledger
         h = np.diag(ledger.since(ledger.accounts[0])[0].h)
         told = {DOFS[c.place[0]] for c in bench.base if h[c.index] * c.prior**2 > 1.0}
         out = [DOFS[axis] for axis in bench.axes if DOFS[axis] not in told]
@@ -181,9 +159,9 @@ class Watch:
         """The vehicle with what is named in it, acting from now on."""
         if self.parts is None:
             return self.vehicle
-        judge, placed = self.parts.judge, []
+        (passage, judge), placed = self.parts, []
         for i, member in enumerate(judge.members):
-            suspect = self.parts.bench.layout.suspects[member.suspect]
+            suspect = passage.bench.layout.suspects[member.suspect]
             values = {name: value for name, (value, _, _) in judge.parameters(i).items()}
             placed.append(Placed(place(suspect, self.vehicle, values), suspect.target))
-        return self.vehicle.place(*placed) if placed else self.vehicle
+        return self.vehicle.place(*judge.exchanged, *placed)

@@ -1,0 +1,110 @@
+"""What a model is worth by the rows at hand, told once more as blocks that are linear about itself."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..effects import ExchangedThrusters
+from ..fitting import misconnected
+from ..vehicle import Placed
+from ._evidence import Member
+from ._ledger import Account, Ledger
+from ._passage import Passage
+
+# Times at most that rows are told about one model. A parameter that moves by less than its standard error is
+# where its slopes are the same.
+TIMES = 3
+# Pairs of columns that are told anew, each as if it were exchanged: as many as there are starts.
+FEW = 10
+
+
+class Told(NamedTuple):
+    """The rows at hand beside some members, linear about them as they were found, and what went before.
+
+    - `level`: logarithm of their likelihood, but for a constant that all models of these rows share.
+    """
+
+    passage: Passage
+    members: tuple[Member, ...]
+    known: Float[np.ndarray, " known"]
+    level: float
+
+    @property
+    def account(self) -> Account:
+        return self.passage.ledger.accounts[0]
+
+
+def tell(
+    passage: Passage, members: Sequence[Member], known: Float[np.ndarray, " known"], account: Account
+) -> Told | None:
+    """Tells the rows at hand about members with known numbers, estimates these, and so on until they stay.
+
+    The file's own coefficients stay where they are, as they are near enough. None where the craft runs away,
+    or where a member, so estimated, is out of its effect's range.
+    """
+    told: Told | None = None
+    for _ in range(TIMES):
+        before, told = known, promised(passage, members, known, account)
+        if told is None:
+            return None
+        told.passage.ledger.estimate(told.account, told.members)
+        told = estimated(told)
+        members, known, account = told.members, told.known, told.account
+        since, suspicions = told.passage.ledger.since(account), told.passage.ledger.suspicions
+        moved = np.abs(known - before) > suspicions.errors(since, members)
+        if not moved[len(suspicions.base) :].any():
+            break
+    return told if told is not None and possible(told) else None
+
+
+def promised(
+    passage: Passage, members: Sequence[Member], known: Float[np.ndarray, " known"], account: Account
+) -> Told | None:
+    """Tells the rows at hand once about members with known numbers, beside the disturbance of an account.
+
+    What the slopes there promise; None where the craft runs away.
+    """
+    again = passage.again(known, members, account)
+    if again is None:
+        return None
+    return estimated(Told(again, tuple(members), known, -np.inf))
+
+
+def estimated(told: Told) -> Told:
+    """With its members' numbers, and its level, as estimated from its blocks."""
+    ledger, account, members = told.passage.ledger, told.account, told.members
+    since = ledger.since(account)
+    known = ledger.suspicions.estimate(since, members)
+    return told._replace(known=known, level=ledger.likelihood(account, since, members))
+
+
+def possible(told: Told) -> bool:
+    """Whether each member is in its effect's range."""
+    ledger = told.passage.ledger
+    parts = ledger.suspicions.parts_of(told.known, told.members)
+    layout = ledger.bench.layout
+    return all(layout.plausible(m.suspect, z) for m, z in zip(told.members, parts, strict=True))
+
+
+def exchanged(passage: Passage) -> list[Placed]:
+    """Columns of commands that may be exchanged: each pair of few, of many those that rows answer so."""
+    rows, vehicle = passage.rows.driven(passage.columns), passage.bench.vehicle
+    if ExchangedThrusters not in passage.bench.catalogue or not rows.commands.any():
+        return []
+    pairs = [Placed(ExchangedThrusters(), one.target) for one in ExchangedThrusters.suspects(vehicle)]
+    if len(pairs) <= FEW:
+        return pairs
+    wrong = misconnected(vehicle, [rows.log(vehicle, True, "rows")])
+    causes = (cause for one in wrong for cause in (*one.causes, *one.instead))
+    return [cause for cause in causes if isinstance(cause.effect, ExchangedThrusters)]
+
+
+def starts(ledger: Ledger, members: Sequence[Member]) -> Iterator[tuple[int, Float[np.ndarray, " z"]]]:
+    """Suspects without a useful slope at neutral, each with parameters from which there is one."""
+    layout, taken = ledger.bench.layout, {one.suspect for one in members}
+    for i, suspect in enumerate(layout.suspects):
+        if i not in taken:
+            for start in suspect.starts:
+                yield i, np.array([start[name] for name in suspect.slots]) - layout.neutral_of(i)

@@ -1,0 +1,92 @@
+"""Rows on their way to the ledger, the last minute or two of which can be told once more.
+
+Blocks that are linear about the file tell badly of a craft that is far from it. So rows are kept as long as
+their blocks are held, and once something is named they go the same way again, linear about that.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..effects import ExchangedThrusters
+from ..vehicle import Placed
+from ._blocks import LONG, Bench, Rows
+from ._course import Course
+from ._evidence import Member
+from ._ledger import CHUNK, Account, Ledger
+
+
+class Passage:
+    """Cuts rows into blocks and tells them to the ledger.
+
+    - `recent`: rows of the blocks that may be held, behind those in which actuators settle; of each whether
+      a clock was set back. `columns`: of each command that which is said to be another's.
+    """
+
+    def __init__(self, bench: Bench, columns: Int[np.ndarray, " columns"] | None = None):
+        self.bench = bench
+        self.columns = np.arange(len(bench.vehicle.command_names)) if columns is None else columns
+        self.course, self.ledger = Course(bench), Ledger(bench)
+        # The last block needs another row behind it.
+        most = self.course.next + 2 * CHUNK * bench.steps + 1
+        self.recent = deque[tuple[Rows, bool]](maxlen=most)
+
+    def take(self, one: Rows, set_back: bool) -> Iterator[str | None]:
+        """Takes a row; each thing there is to say, and None for each block that was told."""
+        self.recent.append((one, set_back))
+        gap = LONG if set_back else self.course.gap_before(one)
+        if gap:
+            self.course.interrupt(gap)
+        if gap and not set_back:
+            t = float(one.t[0])
+            yield f"Nothing came from t = {t - gap:g} to {t:g} s; motion begins anew there, evidence is kept."
+        self.course.waiting.append(one.driven(self.columns))
+        while (block := self.course.cut(self.ledger.about)) is not None:
+            window, rows = block
+            seen = int(np.isfinite(rows.channels[:-1, list(self.bench.channels)]).sum())
+            begun = self.ledger.add(window, float(rows.t[0]), float(rows.t[-1]), seen)
+            if begun is None:
+                self.course.interrupt(LONG)
+                yield f"The craft runs away from what is expected at t = {rows.t[0]:g} s; motion begins anew."
+            else:
+                self.course.go_on(begun)
+                yield None
+
+    @property
+    def rows(self) -> Rows:
+        """Those that are kept, as they came."""
+        return Rows.joined(*(one for one, _ in self.recent))
+
+    def exchanged(self, cause: Placed) -> "Passage":
+        """The same rows with two columns exchanged, to be told again before anything else."""
+        columns = ExchangedThrusters.columns_of(str(cause.target), self.bench.vehicle.command_names)
+        out = Passage(self.bench, self.columns[columns])
+        out.course, out.recent, out.ledger = self.course.anew(), self.recent, self.ledger
+        return out
+
+    def again(
+        self, known: Float[np.ndarray, " known"], members: Sequence[Member], account: Account
+    ) -> "Passage | None":
+        """The rows of the blocks that are held told once more, linear about members with known numbers.
+
+        Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
+        what is expected.
+        """
+        out = Passage(self.bench, self.columns)
+        out.course, out.ledger = self.course.anew(), self.ledger.anew(known, members, account)
+        begins = self.ledger.begun_at[0] - (out.course.next + 0.5) * self.bench.dt
+        # Numbers of a craft that runs away overflow before it is seen to.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for one, set_back in self.recent:
+                if one.t[0] > begins:
+                    for _ in out.take(one, set_back):
+                        if out.ledger.lost:
+                            return None
+        return out
+
+    def adopt(self, other: "Passage") -> None:
+        """Goes on as another one that was told the same rows."""
+        self.columns, self.recent = other.columns, other.recent
+        self.course, self.ledger = other.course, other.ledger

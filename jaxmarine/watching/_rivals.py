@@ -1,0 +1,133 @@
+"""Who else it may be: suspects compared by rows at hand that are told once more, linear about each.
+
+A slope at neutral says little of a cause that is far from it, and nothing of one that has none there. So who
+is likely by slopes is compared here with those that begin elsewhere, and with columns that are exchanged.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..vehicle import Placed
+from ._anew import Told, exchanged, possible, promised, starts, tell
+from ._evidence import Member, place
+from ._ledger import Account, Ledger
+from ._passage import Passage
+
+# Of what the best has, what another must promise to be told about again [nats].
+HOPEFUL = 0.5
+
+
+class Weighed(NamedTuple):
+    """A suspect with its nats by the blocks as they are, beside the disturbance of an account."""
+
+    nats: float
+    member: Member
+    account: Account
+
+
+class Rival(NamedTuple):
+    """A suspect with its nats by rows that were told once more about it, and when it began [s].
+
+    - `exchanged`: columns of commands, which no number tells; None: the last member of what was told.
+    """
+
+    nats: float
+    label: str
+    since: float
+    told: Told
+    exchanged: Placed | None = None
+
+
+def rivals(
+    passage: Passage, members: Sequence[Member], weighed: Sequence[Weighed], bound: float
+) -> list[Rival]:
+    """Suspects beside what is named, by the rows at hand told about each, the best first.
+
+    - `weighed`: those that are likely by their slopes, the best first.
+    - `bound` [nats]: from which on one is named.
+    """
+    field = Field.of(passage, members)
+    if field is None:
+        return []
+    out = list(field.sloped(weighed))
+    best = max([bound, *(one.nats for one in out)])
+    out += field.begun_elsewhere(weighed, HOPEFUL * best)
+    out += field.connected_otherwise(HOPEFUL * best)
+    if not out:
+        return []
+    out.sort(key=lambda one: -one.nats)
+    # A disturbance that was found beside the best may suit the rows better without it, too.
+    none = field.none
+    more = none.passage.ledger.beside(out[0].told.account, none.members) - none.level
+    return [one._replace(nats=one.nats - max(more, 0.0)) for one in out]
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """Those that are compared, beside what is named.
+
+    - `members`: what is named. `none`: the rows at hand told about that alone.
+    """
+
+    passage: Passage
+    members: tuple[Member, ...]
+    none: Told
+
+    @classmethod
+    def of(cls, passage: Passage, members: Sequence[Member]) -> "Field | None":
+        """None where the craft runs away from what is named."""
+        first, members = passage.ledger.accounts[0], tuple(members)
+        known = passage.ledger.suspicions.estimate(passage.ledger.since(first), members)
+        none = tell(passage, members, known, first)
+        return None if none is None else cls(passage, members, none)
+
+    @property
+    def ledger(self) -> Ledger:
+        return self.passage.ledger
+
+    def sloped(self, weighed: Sequence[Weighed]) -> Iterator[Rival]:
+        """Those that were weighed."""
+        for _, member, account in weighed:
+            model = (*self.members, member)
+            known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
+            told = tell(self.passage, model, known, account)
+            if told is not None:
+                yield self._rival(member, told)
+
+    def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
+        """Suspects without a slope, of those starts that promise no less than so much [nats]."""
+        done, since = {one.member.suspect for one in weighed}, weighed[0].member.since
+        for suspect, z in starts(self.ledger, self.members):
+            if suspect in done:
+                continue
+            member, first = Member(suspect, since), self.ledger.accounts[0]
+            known = np.append(self.none.known, z)
+            told = promised(self.passage, (*self.members, member), known, first)
+            if told is not None and possible(told) and self._rival(member, told).nats > least:
+                told = tell(self.passage, told.members, told.known, told.account)
+                if told is not None:
+                    done.add(suspect)
+                    yield self._rival(member, told)
+
+    def connected_otherwise(self, least: float) -> Iterator[Rival]:
+        """Columns of commands that are exchanged, and promise no less than so much [nats]."""
+        for cause in exchanged(self.passage):
+            other, label = self.passage.exchanged(cause), f"{cause.effect.name}:{cause.target}"
+            told = promised(other, self.members, self.none.known, self.ledger.accounts[0])
+            if told is not None and told.level - self.none.level > least:
+                told = tell(other, self.members, told.known, told.account)
+                if told is not None:
+                    yield Rival(told.level - self.none.level, label, -np.inf, told, cause)
+
+    def _rival(self, member: Member, told: Told) -> Rival:
+        label = self.ledger.bench.layout.suspects[member.suspect].label
+        return Rival(told.level - self.none.level - self._price(member), label, member.since, told)
+
+    def _price(self, member: Member) -> float:
+        """Half the logarithm of the numbers measured since a member began, for each of its parameters."""
+        since = self.ledger.since(self.ledger.accounts[0])
+        seen = since[place(since, member.since)].seen
+        return 0.5 * self.ledger.suspicions.columns[member.suspect].shape[1] * float(np.log(max(seen, 2)))
