@@ -91,6 +91,12 @@ class Spread:
 
     __rmul__ = __mul__
 
+    def __truediv__(self, other: Any) -> "Spread":
+        return self._each(operator.truediv, other)
+
+    def __rtruediv__(self, other: Any) -> "Spread":
+        return self._each(lambda own, first: first / own, other)
+
     __hash__ = None  # type: ignore[assignment]
 
     def __bool__(self) -> bool:

@@ -23,7 +23,7 @@ from .conftest import ROOT
 from .fleet_work import child
 
 SIZES = st.floats(-100.0, 100.0).filter(lambda x: abs(x) > 1e-3)
-ARITHMETIC = (operator.add, operator.sub, operator.mul)
+ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
 ORDER = (operator.lt, operator.le, operator.gt, operator.ge)
 
 

@@ -53,11 +53,13 @@ def rivals(
     if field is None:
         return []
     out = list(field.sloped(weighed))
-    best = max([bound, *(one.nats for one in out)])
-    out += field.begun_elsewhere(weighed, HOPEFUL * best)
-    out += field.connected_otherwise(HOPEFUL * best)
     if not out:
         return []
+    best = max(one.nats for one in out)
+    # What the rows, told again, do not bear out needs no other explanation either.
+    if best > HOPEFUL * bound:
+        least = HOPEFUL * max(bound, best)
+        out += [*field.begun_elsewhere(weighed, least), *field.connected_otherwise(least)]
     out.sort(key=lambda one: -one.nats)
     # A disturbance that was found beside the best may suit the rows better without it, too.
     none = field.none
