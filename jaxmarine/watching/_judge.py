@@ -29,9 +29,9 @@ from ._status import Name, moment_of
 
 # Blocks after which sizes and memories are estimated first: 32 s, some memories of a usual disturbance.
 OPENING = 64
-# Blocks from one look at the suspects to the next, and between estimates that a suspicion asks for.
+# Blocks from one look at the suspects to the next, and from one comparison of rivals to the next.
 LOOK, PATIENCE = 4, 16
-# To which patience doubles: five minutes, as telling all rivals anew takes up to one.
+# To which patience doubles: five minutes, as a comparison may take one.
 MOST_PATIENT = 600
 # Nats from which on a disturbance is estimated beside the leading suspect as well.
 LEADS = 3.0
@@ -49,6 +49,8 @@ class Judge:
     - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
+    - `asked_at`: that at which rivals were last compared; they are again after `patience` blocks at least,
+      which doubles each time until all is quiet.
     """
 
     def __init__(self, passage: Passage, false_alarms: float):
@@ -61,7 +63,7 @@ class Judge:
         self.named: tuple[Name, ...] = ()
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
-        self.estimated_at, self.patience = -1, PATIENCE
+        self.estimated_at, self.asked_at, self.patience = -1, -MOST_PATIENT, PATIENCE
 
     @property
     def ledger(self) -> Ledger:
@@ -132,15 +134,15 @@ class Judge:
         """Weighs all suspects, and names one that is sure."""
         ledger = self.ledger
         suspected = self._hopeful()
-        waited = ledger.blocks - self.estimated_at
+        waited, since = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
         if self.nats is None or self.nats.max() < self.bound:
             if waited >= PATIENCE:
                 self.undecided, self.patience = (), PATIENCE
             return []
+        if 0 < waited < PATIENCE or since < self.patience:
+            return []
+        self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         if waited:
-            if waited < self.patience:
-                return []
-            self.patience = min(2 * self.patience, MOST_PATIENT)
             self._estimate()
             suspected += self._hopeful()
         return self._decide(list({one.suspect: one for one in suspected}.values()))
@@ -191,7 +193,7 @@ class Judge:
 
     def _name(self, best: Rival) -> list[str]:
         """Takes a suspect into the model, which goes on linear about it."""
-        self.undecided, self.patience = (), PATIENCE
+        self.undecided = ()
         self.passage.adopt(best.told.passage)
         self.members, self.estimated_at = best.told.members, self.ledger.blocks
         numbers = {} if best.exchanged else self.parameters(len(self.members) - 1)

@@ -35,7 +35,7 @@ FORMAT = 3
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
-_JUDGE = ("estimated_at", "patience")
+_JUDGE = ("estimated_at", "asked_at", "patience")
 
 
 class Kept:
