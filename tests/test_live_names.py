@@ -22,10 +22,14 @@ def test_the_page_has_the_numbers_of_the_study():
     false = [row for row in by["null"] if row["named"]]
     # Lines of the page break anywhere.
     page = " ".join(page.split())
-    assert (len(false), len(by["null"])) == (2, 22) and "two of 22 logs got a name" in page
+    assert f"hidden {len(false)} of {len(by['null'])} logs got a name" in page
     right = [row for row in by["single"] if row["named"] and study.named(row)[0] in row["diagnosed"]]
-    assert f"first name is right on {len(right)} of {len(by['single'])}:" in page
-    assert f"up to {max(len(row['named']) for row in kept['rows'])} in a log" in page
+    same = [row for row in by["single"] if {*study.named(row)} == {*row["diagnosed"]}]
+    said = f"Of {len(by['single'])} logs with one effect {len(same)} get the names of a diagnosis"
+    assert said in page and f"first name is right on {len(right)}." in page
+    silent = [row for row in by["single"] if not row["named"]]
+    assert len(silent) == 3 and "three that stay silent" in page
+    assert f"more than {max(len(row['named']) for row in kept['rows'])} names" in page
 
 
 def test_names_are_the_same_in_any_order_or_differ_by_what_is_said():
