@@ -90,8 +90,10 @@ def possible(told: Told) -> bool:
 
 def exchanged(passage: Passage) -> list[Placed]:
     """Columns of commands that may be exchanged: each pair of few, of many those that rows answer so."""
+    if ExchangedThrusters not in passage.bench.catalogue:
+        return []
     rows, vehicle = passage.rows.driven(passage.columns), passage.bench.vehicle
-    if ExchangedThrusters not in passage.bench.catalogue or not rows.commands.any():
+    if not rows.commands.any():
         return []
     pairs = [Placed(ExchangedThrusters(), one.target) for one in ExchangedThrusters.suspects(vehicle)]
     if len(pairs) <= FEW:

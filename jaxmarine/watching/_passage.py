@@ -25,13 +25,17 @@ class Passage:
       a clock was set back. `columns`: of each command that which is said to be another's.
     """
 
-    def __init__(self, bench: Bench, columns: Int[np.ndarray, " columns"] | None = None):
-        self.bench = bench
-        self.columns = np.arange(len(bench.vehicle.command_names)) if columns is None else columns
-        self.course, self.ledger = Course(bench), Ledger(bench)
+    def __init__(self, course: Course, ledger: Ledger, columns: Int[np.ndarray, " columns"]):
+        self.bench, self.columns = ledger.bench, columns
+        self.course, self.ledger = course, ledger
         # The last block needs another row behind it.
-        most = self.course.next + 2 * CHUNK * bench.steps + 1
+        most = course.next + 2 * CHUNK * self.bench.steps + 1
         self.recent = deque[tuple[Rows, bool]](maxlen=most)
+
+    @classmethod
+    def of(cls, bench: Bench) -> "Passage":
+        """Before the first row."""
+        return cls(Course(bench), Ledger(bench), np.arange(len(bench.vehicle.command_names)))
 
     def take(self, one: Rows, set_back: bool) -> Iterator[str | None]:
         """Takes a row; each thing there is to say, and None for each block that was told."""
@@ -62,8 +66,8 @@ class Passage:
     def exchanged(self, cause: Placed) -> "Passage":
         """The same rows with two columns exchanged, to be told again before anything else."""
         columns = ExchangedThrusters.columns_of(str(cause.target), self.bench.vehicle.command_names)
-        out = Passage(self.bench, self.columns[columns])
-        out.course, out.recent, out.ledger = self.course.anew(), self.recent, self.ledger
+        out = Passage(self.course.anew(), self.ledger, self.columns[columns])
+        out.recent = self.recent
         return out
 
     def again(
@@ -74,8 +78,7 @@ class Passage:
         Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
         what is expected.
         """
-        out = Passage(self.bench, self.columns)
-        out.course, out.ledger = self.course.anew(), self.ledger.anew(known, members, account)
+        out = Passage(self.course.anew(), self.ledger.anew(known, members, account), self.columns)
         begins = self.ledger.begun_at[0] - (out.course.next + 0.5) * self.bench.dt
         # Numbers of a craft that runs away overflow before it is seen to.
         with np.errstate(over="ignore", invalid="ignore"):

@@ -93,7 +93,7 @@ class Watch:
 
     def begin(self, bench: Bench) -> Parts:
         """With nothing known, on what stays the same from block to block."""
-        passage = Passage(bench)
+        passage = Passage.of(bench)
         self.parts = Parts(passage, Judge(passage, self.false_alarms))
         return self.parts
 
