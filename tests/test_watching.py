@@ -9,11 +9,12 @@ import pytest
 
 from jaxmarine import InputError
 from jaxmarine._types import CHANNELS
-from jaxmarine.diagnosis import Layout
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import (
+    AddedMass,
     ConstantWrench,
     ExchangedThrusters,
+    InputDelay,
     LinearDamping,
     QuadraticDamping,
     Saturation,
@@ -27,7 +28,7 @@ from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
-from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _saved
+from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
 from jaxmarine.watching._blocks import LONG, Bench
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
@@ -148,29 +149,49 @@ def test_beginnings_are_kept_in_constant_room_and_thin_out_with_age():
     assert ages[-1] == 4.0 and np.all(ages[:-1] / ages[1:] <= 2.0 + 1e-9)
 
 
-def test_a_suspect_that_cannot_be_is_none(unchecked):
-    """A delay of the same size is possible where it is positive, as estimated by least squares."""
+@pytest.mark.parametrize(
+    ("numbers", "sound"),
+    [
+        ({"input_delay": 0.1}, True),
+        ({"input_delay": -0.1}, False),  # commands that act before they are given
+        ({"sensor_delay:velocity": -0.1}, False),  # a sensor that shows what is yet to come
+        ({"sensor_delay:velocity": 0.1, "added_mass:yaw": 1.0}, True),
+        ({"added_mass:yaw": -20.0}, False),  # less than none
+        ({"added_mass:yaw": -20.0, "input_delay": 0.1}, False),
+    ],
+)
+def test_members_that_no_craft_can_have_are_none(numbers, sound):
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    bench = Bench.with_noise(boat(), noise, DT, (InputDelay, SensorDelay, AddedMass))
+    ledger = _ledger.Ledger(bench)
+    labels = [one.label for one in bench.layout.suspects]
+    members = [Member(labels.index(label), -np.inf) for label in numbers]
+    # The file's own coefficients may bend as far as they like beside what has no name yet.
+    filed = np.full(len(bench.base), -1e3)
+    assert ledger.sound(np.array([*filed, *numbers.values()]), members) == sound
+
+
+def test_rows_at_hand_count_as_squares_of_what_a_model_leaves(unchecked):
     x, y, account, suspects = linear()
-    flat, prior = x.reshape(-1, 5)[:, :3], np.diag([4.0, 0.3, 0.0])
-    (*_, size) = np.linalg.solve(flat.T @ flat + prior, -flat.T @ y.ravel())
+    ledger: Any = object.__new__(_ledger.Ledger)
+    ledger.suspicions, ledger.held, ledger.begun_at = suspects, 20, np.arange(24.0)
+    known, acts = np.array([0.3, -0.1, 0.7]), np.arange(24) >= 8
+    left = y + x[:, :, :2] @ known[:2] + acts[:, None] * x[:, :, 2] * known[2]
+    at_hand = ledger.at_hand(account, known, (Member(0, 8.0),))
+    assert at_hand == pytest.approx(-0.5 * np.sum(left[:20] ** 2), rel=1e-12)
 
+
+@pytest.mark.parametrize(("here", "nats"), [(-4.0, -4.0), (-2.0, 33.0), (50.0, 33.0)])
+def test_what_rows_at_hand_speak_against_has_no_more_nats_than_they_leave(unchecked, here, nats):
+    """Older rows were summed up by slopes; odds of e^3 are those by which two are told apart."""
     late = Suspect(SensorDelay, "velocity", {"delay": (0,)})
-    layout = Layout(np.zeros(1), (late,), (np.eye(1),))
-
-    def judged(sign: float) -> bool:
-        chi2, slope, information = account.said
-        signed = dataclasses.replace(account, said=(chi2, sign * np.sign(size) * slope, information))
-        judge: Any = object.__new__(_judge.Judge)
-        judge.members = ()
-        ledger = SimpleNamespace(
-            bench=SimpleNamespace(layout=layout),
-            suspicions=suspects,
-            since=lambda account: since_each(account, 24, 4, np.arange(24.0), np.full(24, 10)),
-        )
-        judge.passage = SimpleNamespace(ledger=ledger)
-        return judge._possible(signed, Member(0, -np.inf))
-
-    assert judged(1.0) and not judged(-1.0)
+    layout = SimpleNamespace(suspects=(late,))
+    passage = SimpleNamespace(ledger=SimpleNamespace(bench=SimpleNamespace(layout=layout)))
+    field: Any = _rivals.Field(passage, (), SimpleNamespace(level=7.0, at_hand=2.0))
+    told: Any = SimpleNamespace(level=40.0, at_hand=2.0 + here)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_rivals.Field, "_price", lambda self, member: 0.0)
+        assert field._rival(Member(0, -np.inf), told).nats == pytest.approx(nats)
 
 
 # --- blocks that are linear about something ------------------------------------------------------
@@ -259,18 +280,20 @@ def sailed(commands: np.ndarray, seed: int, **acting: np.ndarray) -> tuple[Log, 
     return dataclasses.replace(blank, channels=noisy), clean
 
 
-def test_nothing_is_named_of_a_boat_that_is_only_pushed():
-    size = np.array([2.0, 2.0, 0.0, 0.0, 0.0, 0.5])
+def test_nothing_is_named_of_a_boat_that_is_only_pushed_by_gusts_and_swell():
+    size, swell = np.array([[1.0, 1.0, 0.0, 0.0, 0.0, 0.2], [2.0, 4.0, 0.0, 0.0, 0.0, 0.5]])
     t = np.arange(SAMPLES) * DT
-    push = RandomWrench(size, np.full(6, 3.0)).draw(t, 5)
+    push = RandomWrench(size, np.full(6, 3.0), swell, 4.0, 10.0).draw(t, 5)
     log, clean = sailed(steps(SAMPLES, 4), 6, push=push)
     watch = Watch(boat(), catalogue=SMALL)
     for row in rows_of(log):
         watch.update(row)
-    status = watch.status
+    status, force = watch.status, watch.status.disturbance
     assert not status.named and not status.undecided and max(status.nats.values()) < status.bound
-    # Of the size that was drawn: the standard error of one from eight memories is a third.
-    np.testing.assert_allclose(status.size, size[[0, 1, 5]], rtol=0.6)
+    # In step with itself for ten seconds: its spectrum is a thirtieth of a hertz wide.
+    assert 1.0 / force.period == pytest.approx(1.0 / 4.0, abs=1.0 / (np.pi * 10.0))
+    # Of the size that was drawn: the standard error of one from a few memories is a half.
+    np.testing.assert_allclose(force.swell[[0, 1, 5]], swell[[0, 1, 5]], rtol=0.6)
     # Expected of a position that is measured to a centimetre or two.
     np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
 

@@ -3,6 +3,7 @@
 from .._progress import Estimate as Estimate
 from ._criteria import Criteria as Criteria
 from ._diagnose import diagnose as diagnose
+from ._disturbed import known as known
 from ._filed import Coefficient as Coefficient
 from ._filed import base_coefficients as base_coefficients
 from ._fine import parts_of as parts_of
@@ -10,6 +11,7 @@ from ._fine import strength as strength
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan
+from ._possible import of_a_craft as of_a_craft
 from ._result import (
     BANDS as BANDS,
 )

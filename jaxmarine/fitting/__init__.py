@@ -25,8 +25,6 @@ from ._check import (
     sparkline as sparkline,
 )
 from ._feedback import answers as answers
-from ._filter import FLOW_MEMORY as FLOW_MEMORY
-from ._filter import USUAL_FLOW as USUAL_FLOW
 from ._filter import USUAL_MEMORY as USUAL_MEMORY
 from ._filter import USUAL_SIZE as USUAL_SIZE
 from ._filter import Disturbance as Disturbance
@@ -38,6 +36,7 @@ from ._filter import Windowed as Windowed
 from ._filter import count_of as count_of
 from ._filter import estimated as estimated
 from ._filter import filtered as filtered
+from ._filter import flowing as flowing
 from ._filter import free_wrench as free_wrench
 from ._filter import improbability as improbability
 from ._filter import innovations as innovations

@@ -130,6 +130,11 @@ class Disturbance(eqx.Module):
         count = len(self.axes)
         return jnp.concatenate([of_parts[:count], jnp.repeat(of_parts[count:], 2)])
 
+    @property
+    def level(self) -> Float[Array, " states"]:
+        """Standard deviation of its states, after many memories."""
+        return self._of_states(self.size)
+
     def after(self, dt: Float[Array, ""], states: Float[Array, "states columns"]):
         """What is left of its states [states, columns] after some time [s]."""
         left = jnp.exp(-dt / self._of_states(self.time))[:, None] * states
@@ -147,7 +152,7 @@ class Disturbance(eqx.Module):
 
     def new(self, dt: Float[Array, ""]) -> Float[Array, " states"]:
         """Variance of what is new in its states after some time [s]."""
-        return self._of_states(self.size) ** 2 * -jnp.expm1(-2 * dt / self._of_states(self.time))
+        return self.level**2 * -jnp.expm1(-2 * dt / self._of_states(self.time))
 
 
 class Path(eqx.Module):
@@ -210,6 +215,17 @@ class Message(eqx.Module):
     mean: Float[Array, "13+states columns"]
     covariance: Float[Array, "13+states 13+states"]
     end: Float[Array, "13 columns"]
+
+    def widened(self, force: Disturbance, wider: Disturbance) -> "Message":
+        """With a swell or a current too, that `force` does not have, of which nothing is known yet."""
+        count = len(force.axes)
+        states, swell = 13 + wider.states, 13 + count + np.arange(2 * count)
+        flow = states - FLOW + np.arange(FLOW)
+        new = [*(swell if wider.swells > force.swells else []), *(flow if wider.flows > force.flows else [])]
+        kept = np.setdiff1d(np.arange(states), new)
+        mean = jnp.zeros((states, self.mean.shape[1])).at[kept].set(self.mean)
+        unknown = jnp.diag(jnp.zeros(states).at[13:].set(wider.level**2))
+        return Message(mean, unknown.at[np.ix_(kept, kept)].set(self.covariance), self.end)
 
 
 def _throughout(by: Float[Array, "*rows knots*6+flow"], force: Disturbance) -> Float[Array, "*rows pushes"]:
@@ -759,18 +775,19 @@ def with_current(
     spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
 ) -> Disturbance | None:
     """The disturbance with a current beside it, of its likeliest size, where that is likelier."""
-    n = len(force.axes)
-    flowing = [
-        dataclasses.replace(
-            force,
-            size=jnp.append(force.size.at[:n].multiply(LEFT), size),
-            time=jnp.append(force.time, FLOW_MEMORY.median),
-            frequency=jnp.append(force.frequency, 0.0),
-            flows=True,
-        )
-        for size in CURRENTS
-    ]
-    return _likeliest(spread, every, force, flowing, unit)
+    small = dataclasses.replace(force, size=force.size.at[: len(force.axes)].multiply(LEFT))
+    return _likeliest(spread, every, force, [flowing(small, size) for size in CURRENTS], unit)
+
+
+def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:
+    """The disturbance with a current of some size [m/s] and of a usual memory beside it."""
+    return dataclasses.replace(
+        force,
+        size=jnp.append(force.size, size),
+        time=jnp.append(force.time, FLOW_MEMORY.median),
+        frequency=jnp.append(force.frequency, 0.0),
+        flows=True,
+    )
 
 
 def _likeliest(

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..diagnosis import Layout
 from ..effects import ExchangedThrusters
 from ..fitting import misconnected
 from ..vehicle import Placed
 from ._evidence import Member
-from ._ledger import Account, Ledger
+from ._ledger import Account
 from ._passage import Passage
 
 # Times at most that rows are told about one model. A parameter that moves by less than its standard error is
@@ -35,6 +36,11 @@ class Told(NamedTuple):
     def account(self) -> Account:
         return self.passage.ledger.accounts[0]
 
+    @property
+    def at_hand(self) -> float:
+        """`level` by the rows at hand alone."""
+        return self.passage.ledger.at_hand(self.account, self.known, self.members)
+
 
 def tell(
     passage: Passage, members: Sequence[Member], known: Float[np.ndarray, " known"], account: Account
@@ -42,7 +48,7 @@ def tell(
     """Tells the rows at hand about members with known numbers, estimates these, and so on until they stay.
 
     The file's own coefficients stay where they are, as they are near enough. None where the craft runs away,
-    or where a member, so estimated, is out of its effect's range.
+    or where no craft can have a member, so estimated.
     """
     told: Told | None = None
     for _ in range(TIMES):
@@ -81,11 +87,8 @@ def estimated(told: Told) -> Told:
 
 
 def possible(told: Told) -> bool:
-    """Whether each member is in its effect's range."""
-    ledger = told.passage.ledger
-    parts = ledger.suspicions.parts_of(told.known, told.members)
-    layout = ledger.bench.layout
-    return all(layout.plausible(m.suspect, z) for m, z in zip(told.members, parts, strict=True))
+    """Whether each member is in its effect's range, and such as a craft can have."""
+    return told.passage.ledger.sound(told.known, told.members)
 
 
 def exchanged(passage: Passage) -> list[Placed]:
@@ -103,10 +106,8 @@ def exchanged(passage: Passage) -> list[Placed]:
     return [cause for cause in causes if isinstance(cause.effect, ExchangedThrusters)]
 
 
-def starts(ledger: Ledger, members: Sequence[Member]) -> Iterator[tuple[int, Float[np.ndarray, " z"]]]:
-    """Suspects without a useful slope at neutral, each with parameters from which there is one."""
-    layout, taken = ledger.bench.layout, {one.suspect for one in members}
-    for i, suspect in enumerate(layout.suspects):
-        if i not in taken:
-            for start in suspect.starts:
-                yield i, np.array([start[name] for name in suspect.slots]) - layout.neutral_of(i)
+def starts(layout: Layout, suspect: int) -> Iterator[Float[np.ndarray, " z"]]:
+    """Parameters from which a suspect without a useful slope at neutral has one."""
+    slots = layout.suspects[suspect].slots
+    for start in layout.suspects[suspect].starts:
+        yield np.array([start[name] for name in slots]) - layout.neutral_of(suspect)

@@ -168,14 +168,8 @@ class Bench:
     @functools.cached_property
     def usual(self) -> Disturbance:
         """The disturbance that is assumed before any was estimated."""
-        return self.force(USUAL_SIZE.median * self.unit, np.full(len(self.axes), USUAL_MEMORY.median))
-
-    def force(self, size, time) -> Disturbance:
-        """Of the wrench on each axis, and of a current where there is one more."""
-        nothing, flows = jnp.zeros(len(size)), len(size) > len(self.axes)
-        return Disturbance(
-            jnp.asarray(size), jnp.asarray(time), nothing, jnp.zeros(1), jnp.zeros(1, bool), self.axes, flows
-        )
+        size, time = USUAL_SIZE.median * jnp.asarray(self.unit), jnp.full(len(self.axes), USUAL_MEMORY.median)
+        return Disturbance(size, time, jnp.zeros(len(size)), jnp.zeros(1), jnp.zeros(1, bool), self.axes)
 
     @functools.cached_property
     def start(self) -> Float[Array, "12"]:

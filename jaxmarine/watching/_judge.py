@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
+from ..effects import Suspect
 from ..fitting import unusual
 from ..vehicle import Placed
 from ._evidence import Member, Sum
@@ -159,18 +160,19 @@ class Judge:
             found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
             nats, since, account = max(found, key=lambda one: one[0])
             weighed.append(Weighed(nats, Member(member.suspect, since), account))
-        weighed = [one for one in weighed if self._possible(one.account, one.member)]
+        # What begins elsewhere has a slope on one side only, which may lead where no craft is.
+        weighed = [one for one in weighed if self._sound(one) or self._suspect(one.member).starts]
         weighed.sort(key=lambda one: -one.nats)
         if not weighed or weighed[0].nats < self.bound:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed, self.bound)
-        if not compared:
+        if not compared and any(map(self._sound, weighed)):
             return self._cannot_tell((UNSUSPECTED,), weighed[0].nats, weighed[0].member.since)
-        best, least = compared[0], Criteria().close
-        if best.nats < self.bound:
+        if not compared or compared[0].nats < self.bound:
             self.undecided = ()
             return []
+        best, least = compared[0], Criteria().close
         close = [one.label for one in compared[1:] if one.nats > best.nats - least]
         for one in weighed:
             if self.label(one.member.suspect) == best.label:
@@ -232,13 +234,16 @@ class Judge:
         prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))
         return ledger.likelihood(other, ledger.since(other), self.members) + prior - level
 
-    def _possible(self, account: Account, member: Member) -> bool:
-        """Whether a suspect, as estimated beside what is named, is in its effect's range, as in a diagnosis.
+    def _sound(self, one: Weighed) -> bool:
+        """Whether a suspect, as estimated beside what is named, can be of a craft, as in a diagnosis.
 
         A sensor that shows what is yet to come explains much of a craft that its file does not describe.
         """
-        z, _ = self._estimated(account, (*self.members, member), len(self.members))
-        return self.ledger.bench.layout.plausible(member.suspect, z)
+        ledger, model = self.ledger, (*self.members, one.member)
+        return ledger.sound(ledger.suspicions.estimate(ledger.since(one.account), model), model)
+
+    def _suspect(self, member: Member) -> Suspect:
+        return self.ledger.bench.layout.suspects[member.suspect]
 
     def label(self, suspect: int) -> str:
         return self.ledger.bench.layout.suspects[suspect].label
@@ -246,20 +251,14 @@ class Judge:
     def parameters(self, which: int) -> dict[str, tuple[float, float, str]]:
         """Of a member, as it is known now: value, standard error, unit."""
         ledger, suspect = self.ledger, self.members[which].suspect
-        z, std = self._estimated(ledger.accounts[0], self.members, which)
+        suspicions, since = ledger.suspicions, ledger.since(ledger.accounts[0])
+        known, errors = suspicions.estimate(since, self.members), suspicions.errors(since, self.members)
+        z, std = (suspicions.parts_of(one, self.members)[which] for one in (known, errors))
         layout = ledger.bench.layout
         values, units = layout.values(suspect, z), layout.suspects[suspect].effect.units
         return {
             name: (value, float(s), units[name]) for (name, value), s in zip(values.items(), std, strict=True)
         }
-
-    def _estimated(
-        self, account: Account, members: Sequence[Member], which: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """z of one of some members, all estimated beside an account, and its standard errors."""
-        suspicions, since = self.ledger.suspicions, self.ledger.since(account)
-        z, std = suspicions.estimate(since, members), suspicions.errors(since, members)
-        return suspicions.parts_of(z, members)[which], suspicions.parts_of(std, members)[which]
 
 
 def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:

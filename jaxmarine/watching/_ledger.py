@@ -7,25 +7,25 @@ with their age.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..diagnosis import Criteria
+from ..diagnosis import Criteria, of_a_craft
 from ..effects import WaterEffect
 from ..fitting import (
-    FLOW_MEMORY,
-    USUAL_FLOW,
     Disturbance,
     Message,
     Windowed,
     count_of,
     estimated,
+    flowing,
     nothing_known,
     with_current,
+    with_swell,
 )
 from ._blocks import LONG, Begun, Bench, expected, passed, replayed
 from ._evidence import Acting, Member, Sum, Suspicions
@@ -38,6 +38,7 @@ KEPT = 24
 UNLEARNED = 0.25
 # A disturbance, the covariance of its logarithms, and -2 log p (`fitting.estimated`).
 Estimated = tuple[Disturbance, Float[np.ndarray, "_ _"], float]
+Wider = Callable[..., Disturbance | None]
 # Columns of z, and since when they act [s].
 Gate = tuple[tuple[int, ...], float]
 Says = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -187,24 +188,68 @@ class Ledger:
         minus_twice = account.minus_twice + float(account.said[0][: self.held].sum())
         return self.suspicions.gained(since, members) - 0.5 * minus_twice
 
+    def at_hand(
+        self, account: Account, known: Float[np.ndarray, " known"], members: Sequence[Member]
+    ) -> float:
+        """The same by the blocks that are held alone, of members with known numbers."""
+        minus_twice, g, h = (one[: self.held] for one in account.said)
+        z = self.suspicions.acting(known, members).at(self.begun_at[: self.held])
+        return -0.5 * float(
+            np.sum(minus_twice + np.einsum("bz,bz->b", 2 * g + np.einsum("bzy,by->bz", h, z), z))
+        )
+
+    def sound(self, known: Float[np.ndarray, " known"], members: Sequence[Member]) -> bool:
+        """Whether members' numbers mean something: in their effects' ranges, and such as a craft can have.
+
+        Of the file's own coefficients, which bend beside what is not named yet, it is not asked.
+        """
+        bench, layout = self.bench, self.bench.layout
+        parts = zip(members, self.suspicions.parts_of(known, members), strict=True)
+        if not all(layout.plausible(m.suspect, z) for m, z in parts):
+            return False
+        filed = np.arange(len(known)) < len(self.suspicions.base)
+        z = self.suspicions.acting(np.where(filed, 0.0, known), members).at(np.inf)
+        still = np.zeros(len(bench.vehicle.thrusters.direction))
+        return of_a_craft(bench.vehicle, bench.saturated, jnp.asarray((layout.neutral + z)[None]), still, 1)
+
     # --- a disturbance beside a model ------------------------------------------------------------
 
     def estimate(self, account: Account, members: Sequence[Member]) -> None:
-        """Estimates the disturbance of the blocks that are held beside a model, and filters them anew."""
+        """Estimates the disturbance of the blocks that are held beside a model, and filters them anew.
+
+        With a swell and a current beside it once the blocks are likelier so, by the odds of a name, their
+        numbers paid for (Schwarz). A current must be likelier than a steady one, too, by odds at which the
+        two are told apart: what is steady is then named only if the rows are likelier still. Both stay.
+        """
         every, found = self._suit(account, members)
+        left = [] if account.force.swells else [with_swell]
         if not account.force.flows and {0, 1} & set(self.bench.axes):
-            amid = self._amid_current(account, members, every, found)
-            if amid is not None:
-                account.before = _widened(account.before, amid[0])
-                self._take(account, amid)
+            left.append(with_current)
+        while left:
+            amid = [self._amid(one, every, found) for one in left]
+            which = int(np.argmax([gained for gained, _ in amid]))
+            (gained, wider), one = amid[which], left.pop(which)
+            if gained < Criteria().nats:
+                break
+            if one is with_current and gained < self._steady(account, members) + Criteria().close:
+                continue
+            account.before, found = account.before.widened(account.force, wider[0]), wider
+            self._take(account, found)
 
     def _suit(self, account: Account, members: Sequence[Member]) -> tuple[Windowed, Estimated]:
-        """`estimate` without asking for a current; the blocks beside the model, and what was estimated."""
+        """`estimate` with the swell and the current it has; the blocks beside the model, and the estimate."""
         bench = self.bench
         gates = self._gates(account, members)
         if gates != account.gates:
             account.gates = gates
             self._replay(account)
+        every = self._beside(account, members)
+        found = estimated(bench.spread, every, account.force, bench.unit, account.learned)
+        self._take(account, found)
+        return every, found
+
+    def _beside(self, account: Account, members: Sequence[Member]) -> Windowed:
+        """The blocks that are held, at the numbers of a model."""
         known = self.suspicions.estimate(self.since(account), members)
         z = self.suspicions.acting(known, members).at(self.begun_at)
         line, end = self.windows.line, self.windows.end
@@ -219,43 +264,29 @@ class Ledger:
         )
         gap, joined = np.array(self.windows.gap), np.array(self.windows.joined)
         gap[0], joined[0] = LONG, False
-        every = dataclasses.replace(
+        return dataclasses.replace(
             self.windows,
             line=line,
             end=jnp.asarray(ends[..., None]),
             gap=jnp.asarray(gap),
             joined=jnp.asarray(joined),
         )
-        found = estimated(bench.spread, every, account.force, bench.unit, account.learned)
-        self._take(account, found)
-        return every, found
 
     def _take(self, account: Account, found: Estimated) -> None:
         """Filters the blocks that are held beside what was estimated."""
-        force, account.learned, _ = found
-        account.force = self.bench.force(force.size, force.time)
+        account.force, account.learned, _ = found
         self._replay(account)
 
-    def _amid_current(
-        self, account: Account, members: Sequence[Member], every: Windowed, found: Estimated
-    ) -> Estimated | None:
-        """What was estimated with a current beside it, None unless the blocks are likelier so.
-
-        By the odds of a name, its numbers paid for (Schwarz), and likelier than with a steady current by odds
-        at which the two are told apart. It stays: what is steady is then named only if the rows are likelier
-        still.
-        """
-        bench, (force, _, worth), criteria = self.bench, found, Criteria()
-        wider = with_current(bench.spread, every, force, bench.unit)
+    def _amid(self, with_one: Wider, every: Windowed, found: Estimated) -> tuple[float, Estimated]:
+        """What was estimated with a swell or a current beside it, and what it gains so [nats]."""
+        bench, (force, _, worth) = self.bench, found
+        wider = with_one(bench.spread, every, force, bench.unit)
         if wider is None:
-            return None
+            return -np.inf, found
         numbers = count_of(wider)
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(numbers))
         more = numbers - count_of(force)
-        gained = 0.5 * (worth - amid[2] - more * np.log(self.counts[: self.held].sum()))
-        if gained < criteria.nats or gained < self._steady(account, members) + criteria.close:
-            return None
-        return amid
+        return 0.5 * (worth - amid[2] - more * np.log(self.counts[: self.held].sum())), amid
 
     def _steady(self, account: Account, members: Sequence[Member]) -> float:
         """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
@@ -276,11 +307,10 @@ class Ledger:
 
     def wandering(self, account: Account, members: Sequence[Member]) -> Account:
         """Beside some members and a current that wanders; from an account beside one that is steady."""
-        size, time = account.force.size, account.force.time
-        force = self.bench.force(jnp.append(size, USUAL_FLOW.median), jnp.append(time, FLOW_MEMORY.median))
         out = account.branched()
-        out.force, out.learned = force, UNLEARNED * np.eye(count_of(force))
-        out.before = _widened(account.before, force)
+        out.force = flowing(account.force)
+        out.learned = UNLEARNED * np.eye(count_of(out.force))
+        out.before = account.before.widened(account.force, out.force)
         self.estimate(out, members)
         return out
 
@@ -389,12 +419,3 @@ def thinned(sums: list[Sum], pinned: Sequence[float]) -> list[Sum]:
         ]
         del sums[1 + int(np.argmin(gaps))]
     return sums
-
-
-def _widened(message: Message, force: Disturbance) -> Message:
-    """What is known with a current beside it, of which nothing is known yet."""
-    more = force.states + 13 - len(message.covariance)
-    mean = jnp.pad(message.mean, ((0, more), (0, 0)))
-    own = jnp.concatenate([jnp.zeros(len(message.covariance)), jnp.full(more, force.size[-1] ** 2)])
-    covariance = jnp.pad(message.covariance, ((0, more), (0, more))) + jnp.diag(own)
-    return dataclasses.replace(message, mean=mean, covariance=covariance)

@@ -11,6 +11,7 @@ import numpy as np
 from .._extras import of_extra
 from .._local import HTTPStatus, LocalHandler, address_of, opened
 from .._numbers import unit_on
+from .._types import DOFS
 from ..fitting import FLOW
 from ..physics import to_euler
 from ._status import Status, moment_of, sentence_of
@@ -57,22 +58,6 @@ def told_of(watch: Watch, status: Status, history: History, source: str) -> dict
         state = {
             f"{name} [{unit}]": round(float(v), 3) for name, unit, v in zip(names, units, values, strict=True)
         }
-    wrench = [] if status.state is None else status.state.wrench.tolist()
-    disturbance = [
-        {"axis": axis, "now": w, "size": s, "memory": m, "unit": unit_on("N or N m", axis)}
-        for axis, w, s, m in zip(status.axes, wrench, status.size, status.memory, strict=False)
-    ]
-    if status.state is not None and len(status.size) > len(status.axes):
-        disturbance += [
-            {
-                "axis": axis,
-                "now": float(v),
-                "size": status.size[-1],
-                "memory": status.memory[-1],
-                "unit": "m/s",
-            }
-            for axis, v in zip(("water, north", "water, east"), status.state.push[-FLOW:], strict=True)
-        ]
     return {
         "vehicle": watch.vehicle.name,
         "source": source,
@@ -89,11 +74,38 @@ def told_of(watch: Watch, status: Status, history: History, source: str) -> dict
             for name in status.named
         ],
         "state": state,
-        "disturbance": disturbance,
+        "disturbance": disturbance_of(status),
         "unseen": list(status.unseen),
         "nats": [[t, some] for t, some in history.moments],
         "told": watch.told[-12:],
     }
+
+
+def disturbance_of(status: Status) -> list[dict]:
+    """What disturbs the craft: now, its size and memory, on each axis; sizes of a swell; the water."""
+    state, force = status.state, status.disturbance
+    if state is None:
+        return []
+
+    def row(axis: str, unit: str, now: float | None, size: float, memory: float | None) -> dict:
+        return {"axis": axis, "unit": unit, "now": now, "size": float(size), "memory": memory}
+
+    axes = [(name, unit_on("N or N m", name), DOFS.index(name)) for name in status.axes]
+    out = [
+        row(name, unit, now, force.size[i], float(force.memory[i]))
+        for (name, unit, i), now in zip(axes, state.wrench.tolist(), strict=True)
+    ]
+    if force.period is not None:
+        swell = f"swell of {force.period:.2g} s"
+        out += [
+            row(f"{name}, {swell}", unit, None, force.swell[i], force.swell_memory) for name, unit, i in axes
+        ]
+    if force.current_memory is not None:
+        out += [
+            row(f"water, {where}", "m/s", now, force.current, force.current_memory)
+            for where, now in zip(("north", "east"), state.push[-FLOW:].tolist(), strict=True)
+        ]
+    return out
 
 
 class Page:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..diagnosis import Criteria
 from ..vehicle import Placed
 from ._anew import Told, exchanged, possible, promised, starts, tell
 from ._evidence import Member, place
@@ -91,28 +92,36 @@ class Field:
         return self.passage.ledger
 
     def sloped(self, weighed: Sequence[Weighed]) -> Iterator[Rival]:
-        """Those that were weighed."""
+        """Those that were weighed, from where their slopes lead, or from a start of their own if better.
+
+        A delay or a lag that is none has a slope on one side only, which may point to the other.
+        """
         for _, member, account in weighed:
             model = (*self.members, member)
             known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
             told = tell(self.passage, model, known, account)
-            if told is not None:
-                yield self._rival(member, told)
+            found = [] if told is None else [self._rival(member, told)]
+            found += self._begun(member, max([0.0, *(one.nats for one in found)]))
+            if found:
+                yield max(found, key=lambda one: one.nats)
 
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
-        """Suspects without a slope, of those starts that promise no less than so much [nats]."""
-        done, since = {one.member.suspect for one in weighed}, weighed[0].member.since
-        for suspect, z in starts(self.ledger, self.members):
-            if suspect in done:
-                continue
-            member, first = Member(suspect, since), self.ledger.accounts[0]
+        """Suspects that were not weighed from a start that promises no less than so much [nats]."""
+        done = {one.suspect for one in (*self.members, *(one.member for one in weighed))}
+        for suspect in range(len(self.ledger.bench.layout.suspects)):
+            if suspect not in done:
+                yield from self._begun(Member(suspect, weighed[0].member.since), least)
+
+    def _begun(self, member: Member, least: float) -> Iterator[Rival]:
+        """A suspect from the first of its starts that promises no less than so much [nats]."""
+        for z in starts(self.ledger.bench.layout, member.suspect):
             known = np.append(self.none.known, z)
-            told = promised(self.passage, (*self.members, member), known, first)
+            told = promised(self.passage, (*self.members, member), known, self.ledger.accounts[0])
             if told is not None and possible(told) and self._rival(member, told).nats > least:
                 told = tell(self.passage, told.members, told.known, told.account)
                 if told is not None:
-                    done.add(suspect)
                     yield self._rival(member, told)
+                    return
 
     def connected_otherwise(self, least: float) -> Iterator[Rival]:
         """Columns of commands that are exchanged, and promise no less than so much [nats]."""
@@ -125,8 +134,14 @@ class Field:
                     yield Rival(told.level - self.none.level, label, -np.inf, told, cause)
 
     def _rival(self, member: Member, told: Told) -> Rival:
+        """With no more nats than the rows at hand leave it, if they speak against it.
+
+        What older rows say of it was summed up by slopes, which may have been none.
+        """
         label = self.ledger.bench.layout.suspects[member.suspect].label
-        return Rival(told.level - self.none.level - self._price(member), label, member.since, told)
+        nats = told.level - self.none.level - self._price(member)
+        here = told.at_hand - self.none.at_hand
+        return Rival(min(nats, here) if here < -Criteria().close else nats, label, member.since, told)
 
     def _price(self, member: Member) -> float:
         """Half the logarithm of the numbers measured since a member began, for each of its parameters."""

@@ -31,7 +31,7 @@ from ._watch import Watch
 Place = list[int] | None
 
 # Of what is written: another one when it changes.
-FORMAT = 3
+FORMAT = 4
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
@@ -132,7 +132,9 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         "course": [_plain(getattr(course, name)) for name in _COURSE],
         "ledger": [_plain(getattr(ledger, name)) for name in _LEDGER],
         "judge": [_plain(getattr(judge, name)) for name in _JUDGE],
-        "accounts": [[account.minus_twice, account.gates] for account in ledger.accounts],
+        "accounts": [
+            [account.minus_twice, account.gates, account.force.flows] for account in ledger.accounts
+        ],
         "about": [_or_none(since) for since, _ in ledger.about.parts],
         "set_back": [k for k, (_, set_back) in enumerate(passage.recent) if set_back],
         "members": [[m.suspect, _or_none(m.since)] for m in judge.members],
@@ -216,9 +218,10 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
     return meta["place"], ledger.let_go
 
 
-def _account(blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates) -> Account:
+def _account(
+    blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates, flows: bool
+) -> Account:
     """The account with the number i; `blank`: one of the same form, that is filled."""
-    flows = len(arrays[f"force{i}_0"]) > len(blank.force.axes)
     blank.force = dataclasses.replace(blank.force, flows=flows)
     for what in ("before", "message", "force"):
         leaves, form = jax.tree.flatten(getattr(blank, what))

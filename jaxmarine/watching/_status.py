@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 
+from ..disturbances import RandomWrench
 from ._blocks import Begun
 
 
@@ -25,8 +26,8 @@ class Status:
     """Where a watch stands.
 
     - `t`: where the last block ends [s]; `blocks`: that were filtered.
-    - `state`: of the craft, and what disturbs it on each of `axes`; `size` [N, N m] and `memory` [s] of that,
-      as estimated, and behind these those of a current [m/s, s], where there is one.
+    - `state`: of the craft, and what disturbs it now on each of `axes`; `disturbance`: of which kind that is,
+      as estimated.
     - `nats`: of each suspect, at its best beginning; `bound`: from which on one is named.
     - `named`; `undecided`: causes of which one is at work, and the rows do not tell which.
     - `unseen`: axes and actuators of which too little was seen to tell what the file says of them.
@@ -36,8 +37,7 @@ class Status:
     blocks: int
     state: Begun | None
     axes: tuple[str, ...]
-    size: tuple[float, ...]
-    memory: tuple[float, ...]
+    disturbance: RandomWrench
     nats: Mapping[str, float]
     bound: float
     named: tuple[Name, ...]

@@ -12,6 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from .._precision import need_double
 from .._types import DOFS
+from ..diagnosis import known
+from ..disturbances import RandomWrench
 from ..effects import CATALOGUE, AbstractEffect, ThrusterGain, place
 from ..vehicle import Placed, Vehicle
 from ._blocks import Bench, Rows
@@ -116,18 +118,17 @@ class Watch:
         """Where it stands now."""
         if self.parts is None or not self.parts.passage.ledger.blocks:
             names = tuple(DOFS[i] for i in self.vehicle.axes)
-            return Status(-np.inf, 0, None, names, (), (), {}, np.inf, (), (), ())
+            none = RandomWrench(np.zeros(6), np.zeros(6))
+            return Status(-np.inf, 0, None, names, none, {}, np.inf, (), (), ())
         (passage, judge), bench = self.parts, self.parts.passage.bench
         ledger = passage.ledger
-        force = ledger.accounts[0].force
         nats = () if judge.nats is None else judge.nats
         return Status(
             ledger.t,
             ledger.blocks,
             passage.course.begun,
             tuple(DOFS[axis] for axis in bench.axes),
-            tuple(np.asarray(force.size).tolist()),
-            tuple(np.asarray(force.time).tolist()),
+            known(ledger.accounts[0].force),
             {judge.label(i): float(n) for i, n in enumerate(nats) if np.isfinite(n)},
             judge.bound,
             judge.named,
