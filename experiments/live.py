@@ -10,13 +10,15 @@ Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by st
   as it is a name does more.
 - *Delay*: a thruster that grows weak under way, from hardly to badly.
 - *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
-- *Pace*: a log of six axes at 50 Hz, drawn by the package itself, with the whole catalogue. Seconds of the
-  processor per second of the log, after the programs are compiled.
+- *Pace*: logs of six axes at 50 Hz, drawn by the package itself, with the whole catalogue: nothing hidden,
+  and a thruster that grows weak. Seconds of the processor per second of the log, once programs are compiled.
+- *Long*: a day in gusts, drawn likewise, at 1 Hz. Memory of the process hour by hour.
 
 It goes on where it was cut. Writes results.json and results.md.
 """
 
 import json
+import os
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -32,8 +34,10 @@ from experiments.blind.cases import make_case
 from experiments.blind.plant import Effect
 from jaxmarine._types import CHANNELS
 from jaxmarine.disturbances import RandomWrench
+from jaxmarine.effects import place
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle_io import suspect_named
 
 HERE = Path(__file__).parent / "live"
 CRAFT, THRUSTER = "cybership2", "port"
@@ -43,8 +47,11 @@ WORDS = {"rich": "sticks", "pilot": "a pilot"}
 WATERS = {"none": "calm", "gusts": "gusts", "slow": "slow forces", "current": "a current that wanders"}
 # Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
 FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
-# Of the log that is timed: sample time [s], duration [s], and when the clock starts [s].
-FAST, TIMED, WARM = 0.02, 240.0, 120.0
+# Of logs that are timed: sample time [s], duration [s], when the clock starts [s], and what becomes of a
+# thruster in the middle of what is timed.
+FAST, TIMED, WARM, WEAK = 0.02, 240.0, 120.0, 0.5
+# Of a long log: sample time [s], and its hours.
+SLOW, HOURS = 1.0, 24
 KINDS = ("position", "attitude", "velocity", "rate")
 Row = dict[str, Any]
 
@@ -139,21 +146,27 @@ def null(folder: Path, duration: float, seed: int, steering: str, disturbance: s
     return {"hours": duration / 3600.0, "named": names_of(watch), "most": max(watch.status.nats.values())}
 
 
-def pace(timed: float, warm: float) -> Row:
-    """Seconds of the processor per second of a log of six axes at 50 Hz."""
-    vehicle = jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy"))
-    rng = np.random.default_rng(1)
-    t = np.arange(0.0, timed, FAST)
+def drawn(vehicle: jm.Vehicle, t: np.ndarray, size: np.ndarray, held: float, seed: int) -> Log:
+    """A log of a craft in gusts of some size [N, N m], whose commands are held so long [s]."""
+    rng = np.random.default_rng(seed)
     names = vehicle.command_names
-    steps = rng.uniform(-0.4, 0.4, (round(timed / 4.0) + 1, len(names)))
-    commands = steps[(t / 4.0).astype(int)]
-    size = np.array([2.0, 2.0, 2.0, 0.2, 0.2, 0.5])
-    push = RandomWrench(size, np.full(6, 4.0)).draw(t, 2)
-    blank = Log(t, np.full((len(t), 18), np.nan), commands, None, names, "fast")
+    steps = rng.uniform(-0.4, 0.4, (round(t[-1] / held) + 2, len(names)))
+    commands = steps[(t / held).astype(int)]
+    push = RandomWrench(size, np.full(6, 4.0)).draw(t, seed + 1)
+    blank = Log(t, np.full((len(t), 18), np.nan), commands, None, names, "drawn")
     clean = np.asarray(simulate(vehicle, blank, initial_state(vehicle), push=push).channels)
     # Accelerations are not measured, all else as the file states it.
     std = np.repeat([*(dict(vehicle.sensors)[kind] for kind in KINDS), np.nan, np.nan], 3)
-    log = Log(t, clean + std * rng.normal(size=clean.shape), commands, None, names, "fast")
+    return Log(t, clean + std * rng.normal(size=clean.shape), commands, None, names, "drawn")
+
+
+def pace(timed: float, warm: float, factor: float) -> Row:
+    """Seconds of the processor per second of a log of six axes at 50 Hz; its first thruster grows weak."""
+    vehicle = jm.load_vehicle(jm.packaged_vehicle("bluerov2_heavy"))
+    thruster, since = vehicle.thruster_names[0], 0.5 * (timed + warm)
+    weak = place(suspect_named(vehicle, "thruster_gain", thruster), vehicle, {"factor": factor})
+    size, t = np.array([2.0, 2.0, 2.0, 0.2, 0.2, 0.5]), np.arange(0.0, timed, FAST)
+    log = drawn(vehicle.place(jm.Placed(weak, thruster, since)), t, size, 4.0, 1)
     watch, calls, wall, spent = jm.Watch(vehicle), [], 0.0, 0.0
     for row in rows_of(log):
         wall, spent = time.perf_counter(), time.process_time()
@@ -163,6 +176,7 @@ def pace(timed: float, warm: float) -> Row:
     walls, spents = np.array(calls).T
     seconds = len(calls) * FAST
     return {
+        "factor": factor,
         "axes": int(vehicle.free.sum()),
         "rate": 1.0 / FAST,
         "suspects": len(watch.status.nats),
@@ -174,15 +188,40 @@ def pace(timed: float, warm: float) -> Row:
     }
 
 
+def long(hours: float) -> Row:
+    """Memory of the process [MiB] hour by hour of a log in which nothing is hidden."""
+    vehicle = jm.load_vehicle(jm.packaged_vehicle(CRAFT))
+    t = np.arange(0.0, 3600.0 * hours, SLOW)
+    log = drawn(vehicle, t, np.array([0.1, 0.1, 0.0, 0.0, 0.0, 0.03]), 8.0, 3)
+    watch, memory, begun = jm.Watch(vehicle), [], time.process_time()
+    for k, row in enumerate(rows_of(log), 1):
+        watch.update(row)
+        if k % round(3600.0 / SLOW) == 0:
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            memory.append(round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20, 1))
+    spent = time.process_time() - begun
+    return {
+        "hours": hours,
+        "memory": memory,
+        "processor_share": spent / (3600.0 * hours),
+        "blocks": watch.status.blocks,
+        "named": names_of(watch),
+    }
+
+
 Job = tuple[str, tuple[Any, ...]]
 MEASURED = {"same": same, "delay": delay, "null": null}
+DRAWN = {"pace": pace, "long": long}
 
 
 def planned(quick: bool) -> dict[str, Job]:
     """What is measured: of each row its name, what kind of it, and by what."""
     steerings = STEERINGS[:1] if quick else STEERINGS
     calm = DISTURBANCES[:1] if quick else DISTURBANCES[:2]
-    plan: dict[str, Job] = {"pace": ("pace", (24.0, 12.0) if quick else (TIMED, WARM))}
+    timed = (24.0, 12.0) if quick else (TIMED, WARM)
+    plan: dict[str, Job] = {"pace": ("pace", (*timed, 1.0))}
+    if not quick:
+        plan |= {"pace_weak": ("pace", (*timed, WEAK)), "long": ("long", (HOURS,))}
     for j, steering in enumerate(steerings):
         for k, water in enumerate(calm):
             plan[f"same_{j}{k}"] = "same", (SEEN, 100 + 10 * k + j, steering, water)
@@ -204,8 +243,8 @@ def row(name: str, job: Job, out: Path) -> Row:
     if kept.exists():
         return json.loads(kept.read_text())
     kind, by = job
-    if kind == "pace":
-        found = pace(*by)
+    if kind in DRAWN:
+        found = DRAWN[kind](*by)
     else:
         found = {"steering": by[-2], "disturbance": by[-1]} | MEASURED[kind](out / name, *by)
     found = {"name": name, "kind": kind, **found, "program": program()}
@@ -245,7 +284,7 @@ def summary(rows: list[Row]) -> Row:
         if nulls or before:
             hours = sum(one["hours"] for one in nulls) + len(before) * SINCE / 3600.0
             quiet.append({"disturbance": water, "hours": hours, "names": sorted(labels)})
-    return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace")}
+    return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace"), "long": of("long")}
 
 
 def compared(answered: float, bending: float, watched: float) -> str:
@@ -278,11 +317,22 @@ def table(found: Row) -> str:
         names = ", ".join(f"{count} `{label}`" for label, count in counts)
         out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
     for one in found["pace"]:
+        names = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
         out += [
             "",
-            f"{one['axes']} axes at {one['rate']:.0f} Hz, {one['suspects']} suspects: "
+            f"{one['axes']} axes at {one['rate']:.0f} Hz, {one['suspects']} suspects, a thruster that gives "
+            f"{one['factor']:g} of its thrust in the second half ({names} named): "
             f"{one['processor_share']:.2f} s of the processor and {one['wall_share']:.2f} s by the clock per "
             f"second of the log; the longest call of `update` took {one['longest']:.1f} s.",
+        ]
+    for one in found["long"]:
+        first, *_, last = memory = one["memory"]
+        out += [
+            "",
+            f"{one['hours']} hours in gusts at {1 / SLOW:g} Hz, {one['blocks']} blocks: the process holds "
+            f"{first:.0f} MiB after the first hour, {last:.0f} MiB after the last and {max(memory):.0f} MiB "
+            f"at most; {len(one['named'])} names, {one['processor_share']:.3f} s of the processor per second "
+            "of the log.",
         ]
     return "\n".join(out) + "\n"
 

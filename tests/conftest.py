@@ -67,6 +67,14 @@ DIAGNOSING = {
 }
 
 
+# Modules that take long: begun first, so that no process waits at the end for the other.
+LONG = DIAGNOSING | {f"test_{name}" for name in ("watching", "minesniper", "fit", "simulation", "filter")}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.stem not in LONG)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log) -> LoadScopeScheduling:
     """Deals tests out by module, and those that diagnose the same vehicles to one process.

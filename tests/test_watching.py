@@ -1,6 +1,7 @@
 """A craft that is watched: evidence against least squares, names, interruptions, and a kill."""
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -44,6 +45,8 @@ SMALL = (
     QuadraticDamping,
 )
 WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
+# The row before which a watch is killed: beyond the first snapshot.
+KILLED = 330
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -71,9 +74,23 @@ def broken() -> Log:
 
 
 @pytest.fixture(scope="module")
-def watched(broken) -> tuple[Watch, list[str]]:
-    watch = Watch(boat(), catalogue=SMALL)
-    return watch, [said for row in rows_of(broken) for said in watch.update(row)]
+def kept_in(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("watching")
+
+
+@pytest.fixture(scope="module")
+def watched(broken, kept_in) -> tuple[Watch, list[str]]:
+    """It is watched to the end, but kept only up to some row."""
+    watch, kept = Watch(boat(), catalogue=SMALL), Kept(kept_in / "state")
+    told, _ = kept.opened(watch)
+    for k, row in enumerate(rows_of(broken)):
+        if k < KILLED:
+            kept.add(row, [k, 0])
+        told += watch.update(row)
+        if k < KILLED:
+            kept.after(watch, [k, 0])
+    kept.close()
+    return watch, told
 
 
 # --- evidence ------------------------------------------------------------------------------------
@@ -351,24 +368,16 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
             assert abs(value - true) < 4 * std
 
 
-def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, tmp_path):
-    rows = list(rows_of(broken))
-    first, kept = Watch(boat(), catalogue=SMALL), Kept(tmp_path / "state")
-    kept.opened(first)
-    # Beyond the first snapshot, in the middle of a line of the journal.
-    for k, row in enumerate(rows[:330]):
-        kept.add(row, [k, 0])
-        first.update(row)
-        kept.after(first, [k, 0])
-    kept.close()
-    assert (tmp_path / "state").exists()
-    with (tmp_path / "state.rows").open("ab") as file:
+def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, kept_in):
+    assert (kept_in / "state").exists()
+    # In the middle of a line of the journal.
+    with (kept_in / "state.rows").open("ab") as file:
         file.write(b'[1, [330, 0], {"t": 7')
-    second, kept = Watch(boat(), catalogue=SMALL), Kept(tmp_path / "state")
+    second, kept = Watch(boat(), catalogue=SMALL), Kept(kept_in / "state")
     _, place_of_source = kept.opened(second)
     kept.close()
-    assert place_of_source == [329, 0]
-    for row in rows[330:]:
+    assert place_of_source == [KILLED - 1, 0]
+    for row in list(rows_of(broken))[KILLED:]:
         second.update(row)
     whole, again = watched[0].status, second.status
     assert [(n.label, n.since, n.at) for n in again.named] == [(n.label, n.since, n.at) for n in whole.named]
@@ -377,7 +386,7 @@ def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, 
         assert again.nats[label] == pytest.approx(nats, rel=1e-9, abs=1e-9)
     other = dataclasses.replace(boat(), name="another")
     with pytest.raises(InputError, match="of another vehicle"):
-        Kept(tmp_path / "state").opened(Watch(other, catalogue=SMALL))
+        Kept(kept_in / "state").opened(Watch(other, catalogue=SMALL))
 
 
 def test_gaps_and_clocks_that_jump_back_are_told_and_lose_nothing(broken):

@@ -15,8 +15,8 @@ from ._ledger import Account
 from ._passage import Passage
 
 # Times at most that rows are told about one model. A parameter that moves by less than its standard error is
-# where its slopes are the same.
-TIMES = 3
+# where its slopes are the same; one that does not stay has no place where it is.
+TIMES = 6
 # Pairs of columns that are told anew, each as if it were exchanged: as many as there are starts.
 FEW = 10
 

@@ -5,10 +5,11 @@ is likely by slopes is compared here with those that begin elsewhere, and with c
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..diagnosis import Criteria
 from ..vehicle import Placed
@@ -92,36 +93,56 @@ class Field:
         return self.passage.ledger
 
     def sloped(self, weighed: Sequence[Weighed]) -> Iterator[Rival]:
-        """Those that were weighed, from where their slopes lead, or from a start of their own if better.
+        """Those that were weighed, from where their slopes lead, and from elsewhere if that is better.
 
-        A delay or a lag that is none has a slope on one side only, which may point to the other.
+        A delay or a lag that is none has a slope on one side only, which may point to the other. What seems
+        to begin soon after the first row may always have been there.
         """
+        layout, first = self.ledger.bench.layout, self.ledger.accounts[0]
         for _, member, account in weighed:
             model = (*self.members, member)
             known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
             told = tell(self.passage, model, known, account)
             found = [] if told is None else [self._rival(member, told)]
-            found += self._begun(member, max([0.0, *(one.nats for one in found)]))
+            others = [(member, z, first) for z in starts(layout, member.suspect)]
+            if told is not None and member.since > -np.inf:
+                z = self.ledger.suspicions.parts_of(told.known, told.members)[-1]
+                others.append((Member(member.suspect, -np.inf), z, told.account))
+            for other, z, beside in others:
+                # A beginning must pay for itself.
+                own = [one.nats - self._begins(one.since) + self._begins(other.since) for one in found]
+                found += self._begun(other, [z], beside, max([0.0, *own]))
             if found:
-                yield max(found, key=lambda one: one.nats)
+                yield max(found, key=lambda one: one.nats - self._begins(one.since))
 
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
         """Suspects that were not weighed from a start that promises no less than so much [nats]."""
+        layout, since = self.ledger.bench.layout, weighed[0].member.since
         done = {one.suspect for one in (*self.members, *(one.member for one in weighed))}
-        for suspect in range(len(self.ledger.bench.layout.suspects)):
+        for suspect in range(len(layout.suspects)):
             if suspect not in done:
-                yield from self._begun(Member(suspect, weighed[0].member.since), least)
+                member, some = Member(suspect, since), starts(layout, suspect)
+                yield from self._begun(member, some, self.ledger.accounts[0], least)
 
-    def _begun(self, member: Member, least: float) -> Iterator[Rival]:
-        """A suspect from the first of its starts that promises no less than so much [nats]."""
-        for z in starts(self.ledger.bench.layout, member.suspect):
+    def _begun(
+        self, member: Member, some: Iterable[Float[np.ndarray, " z"]], account: Account, least: float
+    ) -> Iterator[Rival]:
+        """A suspect from the first of some parameters that promises no less than so much [nats].
+
+        Beside the disturbance of an account.
+        """
+        for z in some:
             known = np.append(self.none.known, z)
-            told = promised(self.passage, (*self.members, member), known, self.ledger.accounts[0])
+            told = promised(self.passage, (*self.members, member), known, account)
             if told is not None and possible(told) and self._rival(member, told).nats > least:
                 told = tell(self.passage, told.members, told.known, told.account)
                 if told is not None:
                     yield self._rival(member, told)
                     return
+
+    def _begins(self, since: float) -> float:
+        """What a beginning costs [nats]: as much as a number that is estimated."""
+        return 0.0 if since == -np.inf else self._number(-np.inf)
 
     def connected_otherwise(self, least: float) -> Iterator[Rival]:
         """Columns of commands that are exchanged, and promise no less than so much [nats]."""
@@ -144,7 +165,10 @@ class Field:
         return Rival(min(nats, here) if here < -Criteria().close else nats, label, member.since, told)
 
     def _price(self, member: Member) -> float:
-        """Half the logarithm of the numbers measured since a member began, for each of its parameters."""
+        """What a member's parameters cost [nats]."""
+        return self.ledger.suspicions.columns[member.suspect].shape[1] * self._number(member.since)
+
+    def _number(self, t: float) -> float:
+        """Half the logarithm of the numbers measured since a time [s] (Schwarz)."""
         since = self.ledger.since(self.ledger.accounts[0])
-        seen = since[place(since, member.since)].seen
-        return 0.5 * self.ledger.suspicions.columns[member.suspect].shape[1] * float(np.log(max(seen, 2)))
+        return 0.5 * float(np.log(max(since[place(since, t)].seen, 2)))
