@@ -11,7 +11,8 @@ Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by st
 - *Delay*: a thruster that grows weak under way, from hardly to badly.
 - *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
 - *Pace*: logs of six axes at 50 Hz, drawn by the package itself, with the whole catalogue: nothing hidden,
-  and a thruster that grows weak. Seconds of the processor per second of the log, once programs are compiled.
+  and a thruster that grows weak. Seconds of the processor per second of the log, once programs are compiled;
+  what first compiles while the thruster is named counts.
 - *Long*: a day in gusts, drawn likewise, at 1 Hz. Memory of the process hour by hour.
 
 It goes on where it was cut. Writes results.json and results.md.

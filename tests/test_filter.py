@@ -511,3 +511,44 @@ def test_where_nothing_disturbs_sizes_go_to_zero():
     white, beside = (bench.screen(one) for one in (bench.undisturbed(model), model))
     own = bench.own(0)[:, 0]
     assert own @ beside.h.sum(0) @ own == pytest.approx(own @ white.h.sum(0) @ own, rel=0.3)
+
+
+@pytest.mark.parametrize("axes", [(0,), (0, 1, 5)])
+@pytest.mark.parametrize("order", ["swell, current", "current, swell"])
+def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
+    """The wrench on the craft and its covariance with all else are as before, but for what is new."""
+    n, rng, nothing = len(axes), np.random.default_rng(3), jnp.zeros(1)
+    level = rng.uniform(1.0, 2.0, n)
+    narrow = Disturbance(level, 3.0 * jnp.ones(n), jnp.zeros(n), nothing, nothing > 0, axes)
+
+    def swelling(force: Disturbance) -> Disturbance:
+        more = jnp.arange(1.0, n + 1), jnp.full(n, 10.0), jnp.ones(n)
+        parts = zip((force.size, force.time, force.frequency), more, strict=True)
+        own = [jnp.concatenate([one[:n], new, one[n:]]) for one, new in parts]
+        return dataclasses.replace(force, size=own[0], time=own[1], frequency=own[2])
+
+    states = 13 + narrow.states
+    root = rng.normal(size=(states, states))
+    message = _filter.Message(rng.normal(size=(states, 4)), root @ root.T, rng.normal(size=(13, 4)))
+    now = narrow
+    for name in order.split(", "):
+        wider = {"swell": swelling, "current": _filter.flowing}[name](now)
+        message, now = message.widened(now, wider), wider
+    assert now.kind == (True, True)
+
+    def pushed(force, message):
+        by = np.asarray(block_diag(np.eye(13), force.output))
+        return by @ message.mean, by @ message.covariance @ by.T
+
+    new = np.zeros(13 + n + FLOW)
+    new[13 : 13 + n] = np.arange(1.0, n + 1) ** 2
+    new[13 + n :] = _filter.USUAL_FLOW.median**2
+    first = _filter.Message(message.mean[:states], root @ root.T, message.end)
+    mean, covariance = pushed(now, message)
+    before = pushed(narrow, dataclasses.replace(first, mean=message.mean[:states]))
+    np.testing.assert_allclose(mean, before[0])
+    np.testing.assert_allclose(covariance, before[1] + np.diag(new))
+    # The second of each pair is as large as the first.
+    assert np.trace(message.covariance) == pytest.approx(
+        np.trace(root @ root.T) + 2 * np.sum(np.arange(1.0, n + 1) ** 2) + new[13 + n :].sum()
+    )

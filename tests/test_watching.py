@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -23,8 +24,10 @@ from jaxmarine.effects import (
     SteadyCurrent,
     Suspect,
     ThrusterGain,
+    ThrusterLag,
     place,
 )
+from jaxmarine.fitting import count_of, flowing
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
@@ -33,6 +36,7 @@ from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, 
 from jaxmarine.watching._blocks import LONG, Bench
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
+from jaxmarine.watching._page import disturbance_of
 from tests.boats import NOISE, boat, record, steps
 
 SMALL = (
@@ -211,6 +215,84 @@ def test_what_rows_at_hand_speak_against_has_no_more_nats_than_they_leave(unchec
         assert field._rival(Member(0, -np.inf), told).nats == pytest.approx(nats)
 
 
+def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], float]) -> _rivals.Rival | None:
+    """What becomes of a lag, weighed from a time on, by levels for where it begins and its first number.
+
+    Where slopes lead from there it stays; its slope at neutral leads to -0.1 s.
+    """
+    late = Suspect(ThrusterLag, None, {"time_constant": (0,)}, ({"time_constant": 0.15},))
+    layout = SimpleNamespace(suspects=(late,), neutral_of=lambda i: np.zeros(1))
+    suspicions = SimpleNamespace(
+        estimate=lambda since, model: np.array([-0.1]),
+        parts_of=lambda known, members: [known],
+        columns=(np.eye(1),),
+    )
+    ledger = SimpleNamespace(
+        bench=SimpleNamespace(layout=layout),
+        suspicions=suspicions,
+        accounts=[None],
+        since=lambda account: [
+            Sum(t, seen, np.zeros(0), np.zeros((0, 0))) for t, seen in ((-np.inf, 1000), (8.0, 400))
+        ],
+    )
+    passage = SimpleNamespace(ledger=ledger)
+
+    def told(passage, members, known, account):
+        since, first = members[-1].since, float(known[-1])
+        level = levels.get((since, first))
+        if level is None:
+            return None
+        # What always was goes on beside the disturbance that was told with its beginning.
+        assert account == ("told" if since < weighed else None)
+        return SimpleNamespace(
+            level=level, at_hand=level, members=members, known=known, account=account, passage=passage
+        )
+
+    def promised(*given):
+        found = told(*given)
+        # Slopes promise a little less than there is.
+        return found and SimpleNamespace(**(vars(found) | {"level": found.level - 0.1}))
+
+    def settled(passage, members, known, account):
+        found = told(passage, members, known, account)
+        return found and SimpleNamespace(**(vars(found) | {"account": "told"}))
+
+    monkeypatch.setattr(_rivals, "tell", settled)
+    monkeypatch.setattr(_rivals, "promised", promised)
+    monkeypatch.setattr(_rivals, "possible", lambda told: True)
+    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0))
+    field: Any = _rivals.Field(passage, (), none)
+    member = Member(0, weighed)
+    return next(field.sloped([_rivals.Weighed(30.0, member, None)]), None)
+
+
+ALWAYS = -np.inf
+# Of a parameter by the numbers measured since, 3.45 and 3.0 nats.
+PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0)}
+
+
+@pytest.mark.parametrize(
+    ("weighed", "levels", "since", "level"),
+    [
+        # A beginning costs as much as a number: 60 - 3 - 3.45 lies between 56.8 and 57.2, less 3.45 each.
+        (8.0, {(8.0, -0.1): 60.0, (ALWAYS, -0.1): 57.2}, ALWAYS, 57.2),
+        (8.0, {(8.0, -0.1): 60.0, (ALWAYS, -0.1): 56.8}, 8.0, 60.0),
+        # Where the slope leads no craft is, or another place is better: its start counts.
+        (ALWAYS, {(ALWAYS, 0.15): 260.0}, ALWAYS, 260.0),
+        (ALWAYS, {(ALWAYS, -0.1): 20.0, (ALWAYS, 0.15): 260.0}, ALWAYS, 260.0),
+        (ALWAYS, {(ALWAYS, -0.1): 260.0, (ALWAYS, 0.15): 20.0}, ALWAYS, 260.0),
+        (8.0, {(8.0, 0.15): 260.0, (ALWAYS, 0.15): 259.0}, ALWAYS, 259.0),
+    ],
+)
+def test_a_suspect_is_told_from_where_it_may_be(unchecked, monkeypatch, weighed, levels, since, level):
+    rival = rival_of(monkeypatch, weighed, levels)
+    assert (rival.since, rival.nats) == (since, pytest.approx(level - PRICE[since]))
+
+
+def test_a_suspect_that_rows_do_not_bear_out_is_no_rival(unchecked, monkeypatch):
+    assert rival_of(monkeypatch, ALWAYS, {(ALWAYS, 0.15): 2.0}) is None
+
+
 # --- blocks that are linear about something ------------------------------------------------------
 
 
@@ -297,7 +379,7 @@ def sailed(commands: np.ndarray, seed: int, **acting: np.ndarray) -> tuple[Log, 
     return dataclasses.replace(blank, channels=noisy), clean
 
 
-def test_nothing_is_named_of_a_boat_that_is_only_pushed_by_gusts_and_swell():
+def test_nothing_is_named_of_a_boat_that_is_only_pushed_by_gusts_and_swell(tmp_path):
     size, swell = np.array([[1.0, 1.0, 0.0, 0.0, 0.0, 0.2], [2.0, 4.0, 0.0, 0.0, 0.0, 0.5]])
     t = np.arange(SAMPLES) * DT
     push = RandomWrench(size, np.full(6, 3.0), swell, 4.0, 10.0).draw(t, 5)
@@ -313,6 +395,35 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed_by_gusts_and_swell():
     np.testing.assert_allclose(force.swell[[0, 1, 5]], swell[[0, 1, 5]], rtol=0.6)
     # Expected of a position that is measured to a centimetre or two.
     np.testing.assert_allclose(status.state.position, clean[round(status.t / DT), :3], atol=0.05)
+    rows = {one["axis"]: one for one in disturbance_of(status)}
+    swelling = rows[f"sway, swell of {force.period:.2g} s"]
+    assert (swelling["size"], swelling["memory"], swelling["unit"]) == (
+        force.swell[1], force.swell_memory, "N",
+    )  # fmt: skip
+    assert len(rows) == 2 * len(status.axes) and rows["yaw"]["now"] == status.state.wrench[2]
+    kept_and_restored(watch, tmp_path / "swell")
+    # And in a current, too.
+    account = watch.parts.passage.ledger.accounts[0]
+    wider = flowing(account.force)
+    for what in ("before", "message"):
+        setattr(account, what, getattr(account, what).widened(account.force, wider))
+    account.force, account.learned = wider, np.eye(count_of(wider))
+    again = kept_and_restored(watch, tmp_path / "both")
+    assert {one["axis"] for one in disturbance_of(again.status)} == {*rows, "water, north", "water, east"}
+
+
+def kept_and_restored(watch: Watch, path: Path) -> Watch:
+    """Another watch that goes on where one was; its first account is the same."""
+    again = Watch(boat(), catalogue=SMALL)
+    _saved.write_state(watch, path, None)
+    _saved.restore(again, path)
+    mine, theirs = (one.parts.passage.ledger.accounts[0] for one in (watch, again))
+    assert mine.force.kind == theirs.force.kind
+    for what in ("force", "before", "message"):
+        parts = (jax.tree.leaves(getattr(one, what)) for one in (mine, theirs))
+        for a, b in zip(*parts, strict=True):
+            np.testing.assert_array_equal(a, b)
+    return again
 
 
 def test_an_effect_without_a_slope_is_named_and_nothing_after_it():

@@ -15,7 +15,7 @@ from ._ledger import Account
 from ._passage import Passage
 
 # Times at most that rows are told about one model. A parameter that moves by less than its standard error is
-# where its slopes are the same; one that does not stay has no place where it is.
+# where its slopes are the same; one that still moves after that is judged where it has come to.
 TIMES = 6
 # Pairs of columns that are told anew, each as if it were exchanged: as many as there are starts.
 FEW = 10
@@ -24,7 +24,8 @@ FEW = 10
 class Told(NamedTuple):
     """The rows at hand beside some members, linear about them as they were found, and what went before.
 
-    - `level`: logarithm of their likelihood, but for a constant that all models of these rows share.
+    - `level`: logarithm of their likelihood, but for a constant that all models of these rows share; the
+      numbers of the disturbance are paid for.
     """
 
     passage: Passage
@@ -38,8 +39,9 @@ class Told(NamedTuple):
 
     @property
     def at_hand(self) -> float:
-        """`level` by the rows at hand alone."""
-        return self.passage.ledger.at_hand(self.account, self.known, self.members)
+        """The same by the rows at hand alone, with the known numbers as they are."""
+        ledger = self.passage.ledger
+        return ledger.at_hand(self.account, self.known, self.members) - ledger.price(self.account)
 
 
 def tell(
@@ -83,7 +85,8 @@ def estimated(told: Told) -> Told:
     ledger, account, members = told.passage.ledger, told.account, told.members
     since = ledger.since(account)
     known = ledger.suspicions.estimate(since, members)
-    return told._replace(known=known, level=ledger.likelihood(account, since, members))
+    level = ledger.likelihood(account, since, members) - ledger.price(account)
+    return told._replace(known=known, level=level)
 
 
 def possible(told: Told) -> bool:

@@ -9,9 +9,9 @@ When to be sure: the ratio of a suspect's likelihood to that of none is a martin
 A sum of such ratios over all suspects, one begun at every window, passes a bound in no less than bound
 windows on the average; the largest passes it no sooner. So the bound follows from how often a false name may
 be said. After Shiryaev and Roberts on quickest detection, and Ville's inequality. It holds as far as the
-model of what disturbs the craft does, a Gauss-Markov wrench per axis and a current once the rows tell it, and
-no further: sizes are estimated from the same rows, and what is neither (swell) is evidence for whatever
-explains it best.
+model of what disturbs the craft does, a Gauss-Markov wrench per axis, a swell and a current once the rows
+tell them, and no further: sizes are estimated from the same rows, and what is none of these is evidence for
+whatever explains it best.
 """
 
 from collections.abc import Sequence
@@ -167,13 +167,15 @@ class Judge:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed, self.bound)
-        if not compared and any(map(self._sound, weighed)):
-            return self._cannot_tell((UNSUSPECTED,), weighed[0].nats, weighed[0].member.since)
+        if not compared:
+            sure = (one for one in weighed if one.nats >= self.bound and self._sound(one))
+            for nats, member, _ in sure:
+                return self._cannot_tell((UNSUSPECTED,), nats, member.since)
         if not compared or compared[0].nats < self.bound:
             self.undecided = ()
             return []
         best, least = compared[0], Criteria().close
-        close = [one.label for one in compared[1:] if one.nats > best.nats - least]
+        close = [one.label for one in compared[1:] if one.compared > best.compared - least]
         for one in weighed:
             if self.label(one.member.suspect) == best.label:
                 wandering = self._wandering(one.member, one.account, level)

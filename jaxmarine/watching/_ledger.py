@@ -135,11 +135,14 @@ class Ledger:
             account.sums, account.minus_twice = Account.blank(self.bench).sums, 0.0
 
     def beside(self, account: Account, members: Sequence[Member]) -> float:
-        """Likelihood of members beside a disturbance that is estimated from that of another account on."""
+        """Likelihood of members beside a disturbance that is estimated from that of another account on.
+
+        Its numbers are paid for.
+        """
         own = self._blank(account, self.accounts[0].gates)
         self._replay(own)
         self.estimate(own, members)
-        return self.likelihood(own, self.since(own), members)
+        return self.likelihood(own, self.since(own), members) - self.price(own)
 
     @property
     def full(self) -> bool:
@@ -191,12 +194,19 @@ class Ledger:
     def at_hand(
         self, account: Account, known: Float[np.ndarray, " known"], members: Sequence[Member]
     ) -> float:
-        """The same by the blocks that are held alone, of members with known numbers."""
+        """The same by the blocks that are held alone, of known numbers, the file's coefficients among them.
+
+        Without their prior: they are as all that was ever told has them.
+        """
         minus_twice, g, h = (one[: self.held] for one in account.said)
         z = self.suspicions.acting(known, members).at(self.begun_at[: self.held])
         return -0.5 * float(
             np.sum(minus_twice + np.einsum("bz,bz->b", 2 * g + np.einsum("bzy,by->bz", h, z), z))
         )
+
+    def price(self, account: Account) -> float:
+        """What the numbers of an account's disturbance cost [nats] (Schwarz)."""
+        return 0.5 * count_of(account.force) * float(np.log(max(self.counts[: self.held].sum(), 2)))
 
     def sound(self, known: Float[np.ndarray, " known"], members: Sequence[Member]) -> bool:
         """Whether members' numbers mean something: in their effects' ranges, and such as a craft can have.
@@ -225,16 +235,19 @@ class Ledger:
         left = [] if account.force.swells else [with_swell]
         if not account.force.flows and {0, 1} & set(self.bench.axes):
             left.append(with_current)
-        while left:
-            amid = [self._amid(one, every, found) for one in left]
-            which = int(np.argmax([gained for gained, _ in amid]))
-            (gained, wider), one = amid[which], left.pop(which)
+        amid = {one: self._amid(one, every, found) for one in left}
+        while amid:
+            one = max(amid, key=lambda one: amid[one][0])
+            gained, wider = amid.pop(one)
             if gained < Criteria().nats:
                 break
             if one is with_current and gained < self._steady(account, members) + Criteria().close:
                 continue
-            account.before, found = account.before.widened(account.force, wider[0]), wider
-            self._take(account, found)
+            account.before = account.before.widened(account.force, wider[0])
+            self._take(account, wider)
+            # Beside the wider one the model has other numbers.
+            every, found = self._suit(account, members)
+            amid = {other: self._amid(other, every, found) for other in amid}
 
     def _suit(self, account: Account, members: Sequence[Member]) -> tuple[Windowed, Estimated]:
         """`estimate` with the swell and the current it has; the blocks beside the model, and the estimate."""
@@ -286,7 +299,7 @@ class Ledger:
         numbers = count_of(wider)
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(numbers))
         more = numbers - count_of(force)
-        return 0.5 * (worth - amid[2] - more * np.log(self.counts[: self.held].sum())), amid
+        return 0.5 * (worth - amid[2] - more * float(np.log(self.counts[: self.held].sum()))), amid
 
     def _steady(self, account: Account, members: Sequence[Member]) -> float:
         """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""

@@ -33,6 +33,8 @@ class Weighed(NamedTuple):
 class Rival(NamedTuple):
     """A suspect with its nats by rows that were told once more about it, and when it began [s].
 
+    - `begins`: what its beginning costs [nats] where it is compared with others, 0 of what always was; the
+      bound from which one is named counts beginnings as well.
     - `exchanged`: columns of commands, which no number tells; None: the last member of what was told.
     """
 
@@ -40,13 +42,18 @@ class Rival(NamedTuple):
     label: str
     since: float
     told: Told
+    begins: float = 0.0
     exchanged: Placed | None = None
+
+    @property
+    def compared(self) -> float:
+        return self.nats - self.begins
 
 
 def rivals(
     passage: Passage, members: Sequence[Member], weighed: Sequence[Weighed], bound: float
 ) -> list[Rival]:
-    """Suspects beside what is named, by the rows at hand told about each, the best first.
+    """Suspects beside what is named, by the rows at hand told about each, the likeliest first.
 
     - `weighed`: those that are likely by their slopes, the best first.
     - `bound` [nats]: from which on one is named.
@@ -62,7 +69,7 @@ def rivals(
     if best > HOPEFUL * bound:
         least = HOPEFUL * max(bound, best)
         out += [*field.begun_elsewhere(weighed, least), *field.connected_otherwise(least)]
-    out.sort(key=lambda one: -one.nats)
+    out.sort(key=lambda one: -one.compared)
     # A disturbance that was found beside the best may suit the rows better without it, too.
     none = field.none
     more = none.passage.ledger.beside(out[0].told.account, none.members) - none.level
@@ -104,16 +111,10 @@ class Field:
             known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
             told = tell(self.passage, model, known, account)
             found = [] if told is None else [self._rival(member, told)]
-            others = [(member, z, first) for z in starts(layout, member.suspect)]
-            if told is not None and member.since > -np.inf:
-                z = self.ledger.suspicions.parts_of(told.known, told.members)[-1]
-                others.append((Member(member.suspect, -np.inf), z, told.account))
-            for other, z, beside in others:
-                # A beginning must pay for itself.
-                own = [one.nats - self._begins(one.since) + self._begins(other.since) for one in found]
-                found += self._begun(other, [z], beside, max([0.0, *own]))
+            for z in starts(layout, member.suspect):
+                found += self._begun(member, [z], first, max([0.0, *(one.nats for one in found)]))
             if found:
-                yield max(found, key=lambda one: one.nats - self._begins(one.since))
+                yield self._as_ever(max(found, key=lambda one: one.nats))
 
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
         """Suspects that were not weighed from a start that promises no less than so much [nats]."""
@@ -122,7 +123,7 @@ class Field:
         for suspect in range(len(layout.suspects)):
             if suspect not in done:
                 member, some = Member(suspect, since), starts(layout, suspect)
-                yield from self._begun(member, some, self.ledger.accounts[0], least)
+                yield from map(self._as_ever, self._begun(member, some, self.ledger.accounts[0], least))
 
     def _begun(
         self, member: Member, some: Iterable[Float[np.ndarray, " z"]], account: Account, least: float
@@ -140,9 +141,14 @@ class Field:
                     yield self._rival(member, told)
                     return
 
-    def _begins(self, since: float) -> float:
-        """What a beginning costs [nats]: as much as a number that is estimated."""
-        return 0.0 if since == -np.inf else self._number(-np.inf)
+    def _as_ever(self, rival: Rival) -> Rival:
+        """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""
+        if rival.since == -np.inf:
+            return rival
+        suspect = rival.told.members[-1].suspect
+        z = self.ledger.suspicions.parts_of(rival.told.known, rival.told.members)[-1]
+        ever = self._begun(Member(suspect, -np.inf), [z], rival.told.account, rival.compared)
+        return max([rival, *ever], key=lambda one: one.compared)
 
     def connected_otherwise(self, least: float) -> Iterator[Rival]:
         """Columns of commands that are exchanged, and promise no less than so much [nats]."""
@@ -152,7 +158,7 @@ class Field:
             if told is not None and told.level - self.none.level > least:
                 told = tell(other, self.members, told.known, told.account)
                 if told is not None:
-                    yield Rival(told.level - self.none.level, label, -np.inf, told, cause)
+                    yield Rival(told.level - self.none.level, label, -np.inf, told, exchanged=cause)
 
     def _rival(self, member: Member, told: Told) -> Rival:
         """With no more nats than the rows at hand leave it, if they speak against it.
@@ -162,7 +168,12 @@ class Field:
         label = self.ledger.bench.layout.suspects[member.suspect].label
         nats = told.level - self.none.level - self._price(member)
         here = told.at_hand - self.none.at_hand
-        return Rival(min(nats, here) if here < -Criteria().close else nats, label, member.since, told)
+        nats = min(nats, here) if here < -Criteria().close else nats
+        return Rival(nats, label, member.since, told, self._begins(member.since))
+
+    def _begins(self, since: float) -> float:
+        """What a beginning costs [nats]: as much as a number that is estimated."""
+        return 0.0 if since == -np.inf else self._number(-np.inf)
 
     def _price(self, member: Member) -> float:
         """What a member's parameters cost [nats]."""

@@ -43,7 +43,7 @@ class Watch:
     """Watches a craft by its vehicle file; `update` takes one row after another.
 
     - `false_alarms`: false names per day that are allowed for; 0: nothing is named, and evidence grows. They
-      are no more as far as a Gauss-Markov wrench per axis is what disturbs the craft.
+      are no more as far as Gauss-Markov wrenches, a swell and a current are what disturbs the craft.
     - `catalogue`: the effects that are suspected.
 
     The one object of the package that changes: a link goes on. What it holds is bounded.
