@@ -319,10 +319,10 @@ def table(found: Row) -> str:
         out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
     for one in found["pace"]:
         names = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
+        hidden = "nothing hidden" if one["factor"] == 1 else f"a thruster that falls to {one['factor']:g}"
         out += [
             "",
-            f"{one['axes']} axes at {one['rate']:.0f} Hz, {one['suspects']} suspects, a thruster that gives "
-            f"{one['factor']:g} of its thrust in the second half ({names} named): "
+            f"{one['axes']} axes at {one['rate']:.0f} Hz, {hidden}, {names} named: "
             f"{one['processor_share']:.2f} s of the processor and {one['wall_share']:.2f} s by the clock per "
             f"second of the log; the longest call of `update` took {one['longest']:.1f} s.",
         ]
