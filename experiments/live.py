@@ -19,7 +19,6 @@ It goes on where it was cut. Writes results.json and results.md.
 """
 
 import json
-import os
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import psutil
 import typer
 
 import jaxmarine as jm
@@ -198,8 +198,7 @@ def long(hours: float) -> Row:
     for k, row in enumerate(rows_of(log), 1):
         watch.update(row)
         if k % round(3600.0 / SLOW) == 0:
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            memory.append(round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20, 1))
+            memory.append(round(psutil.Process().memory_info().rss / 2**20, 1))
     spent = time.process_time() - begun
     return {
         "hours": hours,

@@ -32,6 +32,8 @@ def test_the_page_has_the_numbers_of_the_study():
     other = [row for row in by["single"] if row["named"] and {*study.named(row)} != {*row["diagnosed"]}]
     assert [len(row["named"]) for row in other] == [3] and "one with 3 names where" in page
     assert f"more than {max(len(row['named']) for row in kept['rows'])} names" in page
+    last = sum(row["program"] == kept["program"] for row in kept["rows"])
+    assert f"{last} the last one, {len(kept['rows']) - last} that of an hour before" in page
 
 
 def test_names_are_the_same_in_any_order_or_differ_by_what_is_said():

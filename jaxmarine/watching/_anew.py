@@ -41,7 +41,7 @@ class Told(NamedTuple):
     def at_hand(self) -> float:
         """The same by the rows at hand alone, with the known numbers as they are."""
         ledger = self.passage.ledger
-        return ledger.at_hand(self.account, self.known, self.members) - ledger.price(self.account)
+        return ledger.at_hand(self.account, self.known, self.members) - ledger.price(self.account.force)
 
 
 def tell(
@@ -85,7 +85,7 @@ def estimated(told: Told) -> Told:
     ledger, account, members = told.passage.ledger, told.account, told.members
     since = ledger.since(account)
     known = ledger.suspicions.estimate(since, members)
-    level = ledger.likelihood(account, since, members) - ledger.price(account)
+    level = ledger.likelihood(account, since, members) - ledger.price(account.force)
     return told._replace(known=known, level=level)
 
 

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
-from ..effects import Suspect
 from ..fitting import unusual
 from ..vehicle import Placed
 from ._evidence import Member, Sum
@@ -161,16 +160,17 @@ class Judge:
             nats, since, account = max(found, key=lambda one: one[0])
             weighed.append(Weighed(nats, Member(member.suspect, since), account))
         # What begins elsewhere has a slope on one side only, which may lead where no craft is.
-        weighed = [one for one in weighed if self._sound(one) or self._suspect(one.member).starts]
+        suspects = ledger.bench.layout.suspects
+        weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
         weighed.sort(key=lambda one: -one.nats)
         if not weighed or weighed[0].nats < self.bound:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed, self.bound)
         if not compared:
-            sure = (one for one in weighed if one.nats >= self.bound and self._sound(one))
-            for nats, member, _ in sure:
-                return self._cannot_tell((UNSUSPECTED,), nats, member.since)
+            sure = [one for one in weighed if one.nats >= self.bound and self._sound(one)]
+            if sure:
+                return self._cannot_tell((UNSUSPECTED,), sure[0].nats, sure[0].member.since)
         if not compared or compared[0].nats < self.bound:
             self.undecided = ()
             return []
@@ -243,9 +243,6 @@ class Judge:
         """
         ledger, model = self.ledger, (*self.members, one.member)
         return ledger.sound(ledger.suspicions.estimate(ledger.since(one.account), model), model)
-
-    def _suspect(self, member: Member) -> Suspect:
-        return self.ledger.bench.layout.suspects[member.suspect]
 
     def label(self, suspect: int) -> str:
         return self.ledger.bench.layout.suspects[suspect].label

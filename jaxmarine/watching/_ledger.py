@@ -142,7 +142,7 @@ class Ledger:
         own = self._blank(account, self.accounts[0].gates)
         self._replay(own)
         self.estimate(own, members)
-        return self.likelihood(own, self.since(own), members) - self.price(own)
+        return self.likelihood(own, self.since(own), members) - self.price(own.force)
 
     @property
     def full(self) -> bool:
@@ -204,9 +204,9 @@ class Ledger:
             np.sum(minus_twice + np.einsum("bz,bz->b", 2 * g + np.einsum("bzy,by->bz", h, z), z))
         )
 
-    def price(self, account: Account) -> float:
-        """What the numbers of an account's disturbance cost [nats] (Schwarz)."""
-        return 0.5 * count_of(account.force) * float(np.log(max(self.counts[: self.held].sum(), 2)))
+    def price(self, force: Disturbance) -> float:
+        """What the numbers of a disturbance cost [nats], by all that was measured at hand (Schwarz)."""
+        return 0.5 * count_of(force) * float(np.log(max(self.counts[: self.held].sum(), 2)))
 
     def sound(self, known: Float[np.ndarray, " known"], members: Sequence[Member]) -> bool:
         """Whether members' numbers mean something: in their effects' ranges, and such as a craft can have.
@@ -296,10 +296,8 @@ class Ledger:
         wider = with_one(bench.spread, every, force, bench.unit)
         if wider is None:
             return -np.inf, found
-        numbers = count_of(wider)
-        amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(numbers))
-        more = numbers - count_of(force)
-        return 0.5 * (worth - amid[2] - more * float(np.log(self.counts[: self.held].sum()))), amid
+        amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(count_of(wider)))
+        return 0.5 * (worth - amid[2]) - (self.price(wider) - self.price(force)), amid
 
     def _steady(self, account: Account, members: Sequence[Member]) -> float:
         """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
