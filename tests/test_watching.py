@@ -11,6 +11,7 @@ import pytest
 
 from jaxmarine import InputError
 from jaxmarine._types import CHANNELS
+from jaxmarine.diagnosis import parts_of
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import (
     AddedMass,
@@ -33,7 +34,7 @@ from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
 from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
-from jaxmarine.watching._blocks import LONG, Bench
+from jaxmarine.watching._blocks import LONG, WINDOW, Bench
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from jaxmarine.watching._page import disturbance_of
@@ -168,6 +169,15 @@ def test_beginnings_are_kept_in_constant_room_and_thin_out_with_age():
     assert len(sums) <= KEPT + 2 and 400.0 in [one.t for one in sums]
     # An age is met within half of it, and the last ones stand side by side.
     assert ages[-1] == 4.0 and np.all(ages[:-1] / ages[1:] <= 2.0 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rate", "samples"), [(50.0, 25), (10.0, 5), (5.0, 2), (4.0, 2), (2.0, 2), (1.0, 2), (0.5, 2)]
+)
+def test_a_block_is_as_short_as_two_samples_where_half_a_second_has_fewer(rate, samples):
+    """Longer ones bend: what gusts do within one is no longer linear, and slow logs get false names."""
+    steps = max(4, round(WINDOW * rate))
+    assert steps // parts_of(steps, 1 / rate) == samples
 
 
 @pytest.mark.parametrize(
