@@ -112,7 +112,7 @@ def test_the_page_has_the_numbers_of_the_present_code():
         ("by_sticks", GROUPS[0], "{right} of {count} answers are wholly right"),
         ("geared", GROUPS[0], "Of the {count} that were\ndrawn first"),
         ("geared_fed_back", GROUPS[1], "and {right} of {count} answers are wholly right"),
-        ("fed_back", GROUPS[1], "Of {count}, those that were diagnosed when\nthis was written"),
+        ("fed_back", GROUPS[1], "Of {count} that can be seen"),
     ):
         rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
         counted = summary(rows)
