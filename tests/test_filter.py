@@ -61,7 +61,7 @@ def windows_of(
     )
     return Windowed(
         line=line,
-        start=normal(13),
+        states=normal(STEPS, 13),
         end=normal(13, COLUMNS),
         delta=normal(12),
         gap=force.gap,
@@ -74,7 +74,7 @@ def joined_up(every: Windowed, force: Disturbance):
     passed = jax.vmap(lambda line: _filter.filtered(line, force))(every.line)
     message = _filter.nothing_known(force, COLUMNS)
     information, log_det = 0.0, 0.0
-    for w in range(len(every.start)):
+    for w in range(len(every.gap)):
         window, here = jax.tree.map(lambda a, w=w: a[w], (every, passed))
         more, log, message = window.after(message, here, force, jnp.asarray(SPREAD))
         information, log_det = information + more, log_det + log
@@ -110,7 +110,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         own = np.diag(size[states] ** 2)
         return np.linalg.cholesky(own - stays @ own @ stays.T + 1e-300 * np.eye(len(own)))
 
-    count, news = len(every.start), len(every.start) * (12 + len(states) * (STEPS + 1))
+    count, news = len(every.gap), len(every.gap) * (12 + len(states) * (STEPS + 1))
     at, rows, seen = 0, [], []
     state, wrench = np.zeros((13, news)), np.zeros((len(states), news))
     known, before = np.zeros((13, COLUMNS)), np.zeros((13, COLUMNS))

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -28,7 +29,7 @@ from jaxmarine.effects import (
     ThrusterLag,
     place,
 )
-from jaxmarine.fitting import count_of, flowing
+from jaxmarine.fitting import Behind, Windows, count_of, flowing
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
@@ -332,7 +333,7 @@ def test_blocks_about_an_effect_are_those_of_a_craft_that_has_it(begun):
     rows = passage.rows.part(0, bench.past + bench.steps + 1)
 
     def told(bench, z):
-        window = bench.window(rows, None, LONG, False, 1, z)
+        window = bench.window(rows, None, LONG, False, 1, z, np.zeros((0, 13)))
         return window.line.residual, window.end
 
     for mine, theirs in zip(told(bench, z), told(other, np.zeros(layout.size)), strict=True):
@@ -342,6 +343,54 @@ def test_blocks_about_an_effect_are_those_of_a_craft_that_has_it(begun):
             np.testing.assert_allclose(
                 share * mine[..., :-1] @ column, theirs[..., :-1] @ column, rtol=1e-6, atol=1e-9
             )
+
+
+@pytest.mark.parametrize(("delay", "known"), [(0.23, 20), (0.63, 20), (0.23, 0), (0.63, 3)])
+def test_a_late_sensor_shows_what_was_before_a_block(begun, delay, known):
+    """Lines between samples of what was expected before and the block's path; before those the first line."""
+    bench = Bench.with_noise(boat(), begun.parts.passage.bench.noise, DT, (SensorDelay,))
+    rows = begun.parts.passage.rows.part(0, bench.past + bench.steps + 1)
+    past = np.zeros((known, 13))
+    past[:, 3], past[:, 7:9] = 1.0, np.random.default_rng(1).normal(size=(known, 2))
+    (suspect,) = [i for i, one in enumerate(bench.layout.suspects) if one.target == "velocity"]
+
+    def told(delay):
+        z = delay * bench.layout.columns[suspect][:, 0]
+        window = bench.window(rows, None, LONG, False, 1, z, past)
+        velocity = [bench.channels.index(channel) for channel in (6, 7)]
+        by = window.line.residual[:, velocity, :-1] @ bench.layout.columns[suspect][:, 0]
+        return window, window.line.residual[:, velocity, -1] + by * delay, by
+
+    window, off, slope = told(delay)
+    own = slice(-bench.steps - 1, -1)
+    t = rows.t[own]
+    path = np.concatenate([past, window.states])[:, 7:9]
+    times = t[0] + DT * np.arange(-known, bench.steps)
+    cell = np.clip(np.searchsorted(times, t - delay) - 1, 0, None)
+    rise = (path[cell + 1] - path[cell]) / DT
+    shown = path[cell] + rise * (t - delay - times[cell])[:, None]
+    measured = rows.channels[own, 6:8]
+    np.testing.assert_allclose(off, (shown - measured) / bench.noise[6:8], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(slope, -rise / bench.noise[6:8], rtol=1e-9, atol=1e-9)
+
+
+def test_what_was_before_windows_is_the_path_of_those_before_them():
+    """Of two logs, one with a gap, in two goes: as far as the samples follow each other."""
+    log, begins = [0, 0, 0, 0, 1, 1], [10, 13, 20, 23, 0, 3]
+    step = np.array(begins)[:, None] + np.arange(3)
+    states = np.arange(18.0)[:, None] * np.ones(13)
+    windows = Windows(jnp.array(log), jnp.asarray(step), *jnp.zeros((5, 6, 1)))
+    behind, known, before = Behind.nothing(4), [], []
+    for part in (slice(0, 2), slice(2, 6)):
+        some = jax.tree.map(lambda a, part=part: a[part], windows)
+        found, behind = behind.then(some, jnp.asarray(states.reshape(6, 3, 13)[part]))
+        known += np.asarray(found.known).tolist()
+        before += np.asarray(found.states).tolist()
+    assert known == [0, 3, 0, 3, 0, 3]
+    for w, count in enumerate(known):
+        np.testing.assert_array_equal(
+            np.array(before[w])[4 - count :], states[3 * w - count : 3 * w] if count else states[:0]
+        )
 
 
 def test_rows_that_are_told_again_about_the_same_say_the_same(begun):

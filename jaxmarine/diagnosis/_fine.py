@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..effects import SensorDelay
 from ..fitting import USUAL_MEMORY, USUAL_SIZE, Cut, Disturbance, Path, Problem, Room, split
 from ..vehicle import Vehicle
 from ._plausible import full_thrust
@@ -27,6 +28,11 @@ def parts_of(steps: int, dt: float) -> int:
     """Into how many parts a window of so many samples, `dt` [s] apart, is cut."""
     fits = [n for n in range(1, steps // FEWEST + 1) if steps % n == 0]
     return min(fits, key=lambda n: abs(np.log(steps * dt / n / STRAIGHT)), default=1)
+
+
+def latest(dt: float) -> int:
+    """Samples, `dt` [s] apart, that a sensor may be late by."""
+    return int(np.ceil(SensorDelay.plausible["delay"][1] / dt)) + 1
 
 
 def strength(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
@@ -83,7 +89,7 @@ class Fine:
             joined=jnp.asarray(joined),
             axes=tuple(axes.tolist()),
         )
-        whole = dataclasses.replace(problem, records=records, windows=windows)
+        whole = dataclasses.replace(problem, records=records, windows=windows, behind=latest(dt))
         return cls(whole, parts, groups, count, begin, unit)
 
     @property

@@ -274,7 +274,7 @@ class SensorDelay(AbstractEffect):
         moves = free(craft, "surge", "sway", "heave")
         turns = free(craft, "roll", "pitch", "yaw")
         there = {"position": moves, "attitude": turns, "velocity": moves, "rate": turns}
-        return tuple(suspect for suspect in each(cls, LATE) if there[str(suspect.target)])
+        return tuple(suspect for suspect in each(cls, LATE, {"delay": 0.3}) if there[str(suspect.target)])
 
     @classmethod
     def title(cls, target: str | None) -> str:

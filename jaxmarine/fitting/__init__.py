@@ -149,6 +149,8 @@ from ._weights import scaled as scaled
 from ._weights import settled as settled
 from ._windows import FLOW as FLOW
 from ._windows import GAP as GAP
+from ._windows import Before as Before
+from ._windows import Behind as Behind
 from ._windows import Cut as Cut
 from ._windows import Records as Records
 from ._windows import Room as Room

@@ -385,15 +385,21 @@ class Free(eqx.Module):
 class Windowed(eqx.Module):
     """A window as a linear system, and what it takes to join it to the one before.
 
-    - `start`, `end` of its path without a push, the latter's derivatives by what is asked for first.
+    - `states` at the samples of its path; `end` of that without a push, its derivatives by what is asked for
+      first.
     """
 
     line: Line
-    start: Float[Array, "13"]
+    states: Float[Array, "steps 13"]
     end: Float[Array, "13 columns"]
     delta: Float[Array, "12"]
     gap: Float[Array, ""]
     joined: Bool[Array, ""]
+
+    @property
+    def start(self) -> Float[Array, "13"]:
+        """Where its path begins."""
+        return self.states[0]
 
     @property
     def alone(self) -> "Windowed":
@@ -407,7 +413,7 @@ class Windowed(eqx.Module):
         push = path.push[index]
         return cls(
             line=line_of(rows, z, push, force),
-            start=rows.start,
+            states=rows.states,
             end=jnp.concatenate(
                 [
                     rows.end_by[:, 12 : 12 + z],

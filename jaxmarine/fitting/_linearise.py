@@ -18,6 +18,7 @@ from ._affine import Affine
 from ._parts import in_parts, joined, part_of
 from ._rollout import CHUNK, Problem
 from ._rows import Rows, Sweep
+from ._windows import Behind
 
 # Windows that are linearised together: the derivatives of some hundred steps stay in the processor's cache.
 BATCH = 10
@@ -198,11 +199,16 @@ def swept(
         wanted = jax.vmap(lambda window, index: of_rows(sweep.rows(window), index))(windows, index)
         return jax.lax.scan(each, carry, wanted)
 
-    def of_chunk(carry, index):
+    def of_chunk(so_far, index):
+        carry, behind = so_far
         here = jnp.minimum(index, count - 1)
         rolled = sweep.rolled(*jax.tree.map(lambda a: a[here], (problem.windows, delta, sweep.driven.begun)))
-        return jax.lax.scan(of_batch, carry, jax.tree.map(lambda a: in_parts(a, batch), (rolled, index)))
+        if problem.behind:
+            rolled, behind = sweep.followed(rolled, behind)
+        parts = jax.tree.map(lambda a: in_parts(a, batch), (rolled, index))
+        carry, kept = jax.lax.scan(of_batch, carry, parts)
+        return (carry, behind), kept
 
     chunks = jnp.arange(-(-count // chunk) * chunk).reshape(-1, chunk)
-    carried, kept = jax.lax.scan(of_chunk, begin, chunks)
+    (carried, _), kept = jax.lax.scan(of_chunk, (begin, Behind.nothing(problem.behind)), chunks)
     return carried, jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)

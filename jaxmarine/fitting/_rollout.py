@@ -51,6 +51,9 @@ class Problem(eqx.Module):
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
     - `apart`: whether the information of each window is kept, as the scatter of a fit asks for, or their sum.
     - `axes`: those that can move.
+    - `behind`: samples before a window that late sensors show as the windows before it have them; 0: their
+      first line goes on backwards.
+    - `expected`: the records' motion is what was expected of the craft, and not what sensors showed.
     """
 
     plant_of: PlantOf
@@ -61,6 +64,8 @@ class Problem(eqx.Module):
     split: int | Int[Array, ""] = 1
     apart: bool = eqx.field(static=True, default=True)
     axes: tuple[int, ...] = eqx.field(static=True, default=tuple(range(6)))
+    behind: int = eqx.field(static=True, default=0)
+    expected: bool = eqx.field(static=True, default=False)
 
     @property
     def accelerations(self) -> bool:
@@ -163,8 +168,9 @@ def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Arra
 def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool = True):
     """Fluid memory of the logged motion and its slope per lag, each [logs, steps, memory] as `State.memory`.
 
-    The smoothed log drives it, without the errors that the plants' sensors have put into its velocity. Zeros
-    where it is not `asked` for, as it pushes nothing and nobody wants its slopes.
+    The smoothed log drives it, without the errors that the plants' sensors have put into its velocity, or the
+    motion that was expected. Zeros where it is not `asked` for, as it pushes nothing and nobody wants its
+    slopes.
     """
     records = problem.records
     if not plants.has_memory:
@@ -174,7 +180,8 @@ def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool 
 
     def through_water(attitude, logged, segment):
         plant = of_segment(plants, segment)
-        return plant.relative(attitude, _true_velocity(plant, attitude, logged))
+        own = logged if problem.expected else _true_velocity(plant, attitude, logged)
+        return plant.relative(attitude, own)
 
     def then(first, second):
         """Two affine maps after one another."""

@@ -43,7 +43,7 @@ from ._rollout import (
     wrapped,
 )
 from ._thrust_slopes import ThrustSlopes
-from ._windows import FLOW, Windows
+from ._windows import FLOW, Before, Behind, Windows
 
 
 class Rows(eqx.Module):
@@ -53,8 +53,8 @@ class Rows(eqx.Module):
       the water to the north and to the east, where windows say one.
     - `dt` of the holds; `a`, `b`: from a state and from all but the first of these over a hold to the next.
     - `h_x`, `h_z`: from these to what is measured.
-    - `start`, `end`: the first state and the one after the last hold; `begin`: derivative of the former by
-      the twelve changes of the initial state; `end_by`: of the latter, as `jacobian`.
+    - `states`, `end`: at the samples, and after the last hold; `begin`: derivative of the first one by the
+      twelve changes of the initial state; `end_by`: of the latter, as `jacobian`.
     """
 
     residual: Float[Array, "steps rows"]
@@ -65,7 +65,7 @@ class Rows(eqx.Module):
     h_x: Float[Array, "steps rows 13"]
     h_z: Float[Array, "steps rows z"]
     begin: Float[Array, "13 12"]
-    start: Float[Array, "13"]
+    states: Float[Array, "steps 13"]
     end: Float[Array, "13"]
     end_by: Float[Array, "13 columns"]
 
@@ -312,6 +312,12 @@ class Sweep(eqx.Module):
         d_slow = self.d_lagged[windows.log[:, None], windows.step]
         return _Rolled(windows, delta, begun, tracks, states, after, d_slow)
 
+    def followed(self, rolled: _Rolled, behind: Behind) -> tuple[_Rolled, Behind]:
+        """Windows that know what was before them, and what is behind after them."""
+        states = jax.vmap(jax.vmap(_flat))(rolled.states)
+        before, behind = behind.then(rolled.windows, states)
+        return rolled._replace(windows=dataclasses.replace(rolled.windows, before=before)), behind
+
     def rows(self, now: _Rolled) -> Rows:
         """One window's rows, with derivatives by its initial state and all that is asked for."""
         track, windows, measured = now.track, now.windows, np.array(self.problem.channels, int)
@@ -332,7 +338,7 @@ class Sweep(eqx.Module):
         s_end, s = jax.lax.scan(recur, s_0, (a, b))
         weight = windows.weight[:, measured]
         jacobian = (h_x @ s).at[:, :, 12:].add(h_z)
-        value, jacobian = self._earlier(track.instant.t, track.segment, value, jacobian, measured)
+        value, jacobian = self._earlier(windows, track, value, jacobian)
         return Rows(
             residual=wrapped(value - windows.measured)[:, measured] * weight,
             jacobian=jacobian * weight[..., None],
@@ -342,7 +348,7 @@ class Sweep(eqx.Module):
             h_x=h_x * weight[..., None],
             h_z=h_z * weight[..., None],
             begin=s_0[:, :12],
-            start=x[0],
+            states=x,
             end=x_after[-1],
             end_by=s_end,
         )
@@ -452,19 +458,55 @@ class Sweep(eqx.Module):
             by_z = by_z.at[:, :, -FLOW:].add(by_water[..., :FLOW])
         return value, by_x + by_nu_dot @ seen.by_x, by_z
 
-    def _earlier(
-        self, t: Array, segment: Array, value: Array, jacobian: Array, rows: np.ndarray
-    ) -> tuple[Array, Array]:
-        """Readings of a window and the derivatives of those of `rows`, of late sensors so long before."""
-        delay = self.plants.delay
+    def _earlier(self, windows: Windows, track: Track, value: Array, jacobian: Array) -> tuple[Array, Array]:
+        """Readings of a window and the derivatives of the measured ones, of late sensors so long before."""
+        delay, segment, rows = self.plants.delay, track.segment, np.array(self.problem.channels, int)
         if delay is None:
             return value, jacobian
-        when = Earlier(t, delay[segment], self.problem.width)
-        shown, slopes = when.shown(value)
-        # Mostly none is; the predicate is the same for all windows of a batch.
-        jacobian = jax.lax.cond(jnp.any(delay != 0.0), lambda: when.rows(jacobian, rows), lambda: jacobian)
+        when = Earlier(track.instant.t, delay[segment], self.problem.width)
+
+        def in_time():
+            return *when.shown(value), jacobian
+
+        def late():
+            if windows.before is not None:
+                return self._since_before(windows.before, windows, track, value, jacobian)
+            return *when.shown(value), when.rows(jacobian, rows)
+
+        # Mostly none is late; the predicate is the same for all windows of a batch.
+        shown, slopes, jacobian = jax.lax.cond(jnp.any(delay != 0.0), late, in_time)
         by_delay = -slopes[:, rows, None] * self.chain_slopes.delay[segment][:, KIND[rows]]
         return shown, jacobian.at[:, :, 12 : 12 + self.given].add(by_delay)
+
+    def _since_before(
+        self, before: Before, windows: Windows, track: Track, value: Array, jacobian: Array
+    ) -> tuple[Array, Array, Array]:
+        """What late sensors show of a window and of what was before it, its slopes [1/s] and derivatives.
+
+        What was before is as it was expected: no initial state of the window changes it.
+        """
+        assert self.plants.delay is not None
+        x, rows = before.states, np.array(self.problem.channels, int)
+        count = len(x)
+
+        def as_first(values):
+            return jnp.broadcast_to(values[0], (count, *values.shape[1:]))
+
+        segment, water = jax.tree.map(as_first, (track.segment, track.instant.water))
+        still = jnp.zeros((count, 6))
+        seen, (_, _, by_constants, _) = _readings(
+            self.plants, self.problem.channels, self.problem.width, self.chain, x, still, segment, water
+        )
+        by_z = _contract(by_constants, self.chain_slopes.shown, segment)
+        by = jnp.zeros((count, *jacobian.shape[1:])).at[:, :, 12 : 12 + self.given].set(by_z)
+        ago = windows.step[0] - jnp.arange(count, 0, -1)
+        # Before a log began nothing is known, but times go on.
+        early = self.problem.records.t[windows.log, jnp.maximum(ago, 0)] + jnp.minimum(ago, 0) * track.dt[0]
+        t = jnp.concatenate([early, track.instant.t])
+        delay = self.plants.delay[jnp.concatenate([segment, track.segment])]
+        when = Earlier(t, delay, self.problem.width, count - before.known)
+        shown, slopes = when.shown(jnp.concatenate([seen, value]))
+        return shown[count:], slopes[count:], when.rows(jnp.concatenate([by, jacobian]), rows)[count:]
 
 
 def _kinematics(x: Float[Array, "13"]) -> Float[Array, "7"]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -39,6 +40,54 @@ class Records(eqx.Module):
     segment: Int[Array, "logs steps"]
 
 
+class Before(eqx.Module):
+    """States of a craft before windows begin, which sensors show that are late.
+
+    - `states`: position, attitude, velocity at so many samples, the last one just before a window.
+    - `known`: how many of them are, the last ones.
+    """
+
+    states: Float[Array, "windows past 13"]
+    known: Int[Array, " windows"]
+
+
+class Behind(eqx.Module):
+    """The last samples of the windows so far, which late sensors may show in those to come.
+
+    - `states`: position, attitude, velocity; `known`: how many of them follow each other without a gap, the
+      last ones. `log`, `step`: where the last one lies in `Records`.
+    """
+
+    states: Float[Array, "past 13"]
+    known: Int[Array, ""]
+    log: Int[Array, ""]
+    step: Int[Array, ""]
+
+    @classmethod
+    def nothing(cls, past: int) -> "Behind":
+        """Before the first window."""
+        none = jnp.array(-1)
+        return cls(jnp.zeros((past, 13)), jnp.array(0), none, none)
+
+    def then(self, windows: "Windows", states: Float[Array, "windows steps 13"]) -> tuple[Before, "Behind"]:
+        """What was before some windows with such states, and what is behind after them."""
+        past, steps = len(self.states), windows.step.shape[1]
+        along = jnp.concatenate([self.states, states.reshape(-1, 13)])
+        log = jnp.concatenate([self.log[None], windows.log])
+        last = jnp.concatenate([self.step[None], windows.step[:, -1]])
+        follows = (windows.log == log[:-1]) & (windows.step[:, 0] == last[:-1] + 1)
+
+        def each(known, follows):
+            known = jnp.where(follows, jnp.minimum(known, past), 0)
+            return known + steps, known
+
+        after, known = jax.lax.scan(each, self.known, follows)
+        before = along[np.arange(windows.count)[:, None] * steps + np.arange(past)]
+        return Before(before, known), Behind(
+            along[len(along) - past :], jnp.minimum(after, past), log[-1], last[-1]
+        )
+
+
 class Windows(eqx.Module):
     """Stretches of the logs, with what was measured in them.
 
@@ -47,6 +96,7 @@ class Windows(eqx.Module):
     - `position`, `attitude`, `velocity`: guess of the state at the window's first step.
     - `wrench`, `water` [m/s, north and east]: what is expected to act on the hull, and how the water is
       expected to move, throughout and beside all that the logs know.
+    - `before`: where the craft was; None: a late sensor's first line goes on backwards.
     """
 
     log: Int[Array, " windows"]
@@ -58,6 +108,7 @@ class Windows(eqx.Module):
     velocity: Float[Array, "windows 6"]
     wrench: Float[Array, "windows 6"] | None = None
     water: Float[Array, "windows 2"] | None = None
+    before: Before | None = None
 
     @property
     def count(self) -> int:
@@ -181,12 +232,13 @@ def cut(
         raise InputError(f"{names}: is shorter than two windows of {length:g} s; use a longer log.")
     of_all = {name: np.concatenate([parts[name] for parts in windows]) for name in windows[0]}
     of_all["attitude"] = quaternions_of(of_all["attitude"])
+    of_windows: dict[str, Any] = {name: jnp.asarray(values) for name, values in of_all.items()}
     return Cut(
         logs=logs,
         records=Records(
             **{name: jnp.asarray(np.stack([parts[name] for parts in records])) for name in records[0]}
         ),
-        windows=Windows(**{name: jnp.asarray(values) for name, values in of_all.items()}),
+        windows=Windows(**of_windows),
         starts=np.concatenate(starts),
         length=length,
         dof=vehicle.dof,

@@ -23,14 +23,16 @@ class Earlier:
     - `delay` [s]: per sample and kind of sensor, in the order of `LATE`; `width`: how many channels.
 
     Lines between samples: at 10 Hz a craft that changes its speed by 1 m/s² leaves them by some millimetres.
-    Before the first sample the first line goes on backwards.
+    Before the sample `first` the line from there goes on backwards.
     """
 
-    def __init__(self, t: Times, delay: Float[Array, "times kinds"], width: int):
+    def __init__(
+        self, t: Times, delay: Float[Array, "times kinds"], width: int, first: int | Int[Array, ""] = 0
+    ):
         def one(delay):
             at = t - delay
             # At a sample the line that leads to it, so that a delay of zero has the slope of the past.
-            cell = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 2)
+            cell = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, first, len(t) - 2)
             length = jnp.maximum(t[cell + 1] - t[cell], 1e-9)
             return cell, (at - t[cell]) / length, length
 

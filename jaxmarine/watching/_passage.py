@@ -55,7 +55,7 @@ class Passage:
                 self.course.interrupt(LONG)
                 yield f"The craft runs away from what is expected at t = {rows.t[0]:g} s; motion begins anew."
             else:
-                self.course.go_on(begun)
+                self.course.go_on(begun, np.asarray(window.states))
                 yield None
 
     @property
