@@ -13,15 +13,16 @@ from scipy.stats import multivariate_normal
 from jaxmarine._types import SENSORS
 from jaxmarine.diagnosis import _amid
 from jaxmarine.diagnosis._amid import amid_more
-from jaxmarine.diagnosis._explanation import Model
+from jaxmarine.diagnosis._explanation import Member, Model
 from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
-from jaxmarine.effects import LinearDamping, QuadraticDamping, SteadyCurrent
+from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent
 from jaxmarine.fitting import _filter, with_current
 from jaxmarine.fitting._filter import FLOW, Disturbance, Line, Logarithms, Windowed
 from jaxmarine.logs import Log
+from jaxmarine.physics import LATE, late
 from jaxmarine.simulation import initial_state, simulate
 from tests.boats import NOISE, boat, steps
 
@@ -260,6 +261,34 @@ def test_a_first_state_is_taken_back_to_its_changes():
     every, _ = windows_of([False], [1e6])
     line = dataclasses.replace(jax.tree.map(lambda a: a[0], every.line), begin=begin)
     np.testing.assert_allclose(np.asarray(line.back), np.linalg.pinv(begin), atol=1e-13)
+
+
+@pytest.mark.slow
+def test_a_late_sensor_is_read_along_all_windows(monkeypatch):
+    """As if they were one, also where they are held some at a time; `physics.late` along their paths."""
+    bench = workbench(boat(), (pushed_boat(KNOWN),), (SensorDelay,), None)
+    model = _amid.disturbed(bench, bench.frozen(bench.start()))
+    (late_one,) = [i for i, one in enumerate(bench.layout.suspects) if one.target == "velocity"]
+    model = bench.with_member(model, Member(late_one), np.array([0.7]))
+    beside, count = dataclasses.replace(model.beside, path=bench.fine.path), bench.fine.count
+    windows = bench.fine.problem.windows
+    log, step = windows.log[:count, None], windows.step[:count]
+    t = bench.fine.problem.records.t[log, step].reshape(-1)
+    for held in (640, 200):
+        monkeypatch.setattr(_filter, "HELD", held)
+        problem, every = bench.lines(model, beside)
+        channels = np.zeros((len(t), 12))
+        channels[:, 6:] = np.asarray(every.states)[:count, :, 7:].reshape(-1, 6)
+        delay = np.zeros((len(t), 4))
+        delay[:, LATE.index("velocity")] = 0.7
+        shown = np.asarray(late(t, jnp.asarray(channels), jnp.asarray(delay)))
+        measured = (np.asarray(one)[:count].reshape(-1, 18) for one in (windows.measured, windows.weight))
+        values, weight = measured
+        for channel in (6, 7):
+            row = problem.channels.index(channel)
+            off = np.asarray(every.line.residual)[:count, :, row, -1].ravel()
+            expected = (shown[:, channel] - values[:, channel]) * weight[:, channel]
+            np.testing.assert_allclose(off, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from jaxmarine.effects import (
     AddedMass,
     ConstantWrench,
     ExchangedThrusters,
+    FluidMemory,
     InputDelay,
     LinearDamping,
     QuadraticDamping,
@@ -29,13 +30,13 @@ from jaxmarine.effects import (
     ThrusterLag,
     place,
 )
-from jaxmarine.fitting import Behind, Windows, count_of, flowing
+from jaxmarine.fitting import FLOW, Records, Trail, Windows, count_of, flowing
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
 from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
-from jaxmarine.watching._blocks import LONG, WINDOW, Bench
+from jaxmarine.watching._blocks import LONG, WINDOW, Begun, Bench
 from jaxmarine.watching._evidence import Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from jaxmarine.watching._page import disturbance_of
@@ -374,19 +375,42 @@ def test_a_late_sensor_shows_what_was_before_a_block(begun, delay, known):
     np.testing.assert_allclose(slope, -rise / bench.noise[6:8], rtol=1e-9, atol=1e-9)
 
 
+def test_what_fluids_remember_hangs_on_the_past_alone(begun):
+    """Were what is measured in a block and behind it in their memory, its noise would be taken for theirs."""
+    passage = begun.parts.passage
+    bench = Bench.with_noise(boat(), passage.bench.noise, DT, (FluidMemory,))
+    rows = passage.rows.part(0, bench.past + bench.steps + 1)
+    other = np.array(rows.channels)
+    other[-bench.steps :] += 10 * bench.noise * np.random.default_rng(2).normal(size=(bench.steps, 18))
+    start = Begun(np.zeros(3), np.array([1.0, 0, 0, 0]), np.ones(6), np.zeros(len(bench.axes) + FLOW))
+    faster, still = np.zeros((2, 20, 13))
+    faster[:, 3], faster[:, 7:], still[:, 3] = 1.0, 0.5, 1.0
+
+    def slopes(channels, trail):
+        here = dataclasses.replace(rows, channels=channels)
+        return bench.window(here, start, 0.0, True, 1, np.zeros(bench.layout.size), trail).end[:, :-1]
+
+    own = slopes(rows.channels, faster)
+    np.testing.assert_array_equal(own, slopes(other, faster))
+    assert np.abs(own - slopes(rows.channels, still)).max() > 1e-3 * np.abs(own).max() > 0
+
+
 def test_what_was_before_windows_is_the_path_of_those_before_them():
-    """Of two logs, one with a gap, in two goes: as far as the samples follow each other."""
+    """Of two logs, of one some windows are missing and of one samples: as far as they follow each other."""
     log, begins = [0, 0, 0, 0, 1, 1], [10, 13, 20, 23, 0, 3]
     step = np.array(begins)[:, None] + np.arange(3)
     states = np.arange(18.0)[:, None] * np.ones(13)
     windows = Windows(jnp.array(log), jnp.asarray(step), *jnp.zeros((5, 6, 1)))
-    behind, known, before = Behind.nothing(4), [], []
+    dt = jnp.ones((2, 30)).at[1, 2].set(100.0)
+    whole = [jnp.zeros((2, 30, width)) for width in (1, 6, 4, 6)]
+    records = Records(dt, dt, jnp.ones((2, 30)), *whole, jnp.zeros((2, 30), int))
+    trail, known, before = Trail.nothing(4), [], []
     for part in (slice(0, 2), slice(2, 6)):
         some = jax.tree.map(lambda a, part=part: a[part], windows)
-        found, behind = behind.then(some, jnp.asarray(states.reshape(6, 3, 13)[part]))
+        found, trail = trail.then(records, some, jnp.asarray(states.reshape(6, 3, 13)[part]))
         known += np.asarray(found.known).tolist()
         before += np.asarray(found.states).tolist()
-    assert known == [0, 3, 0, 3, 0, 3]
+    assert known == [0, 3, 0, 3, 0, 0]
     for w, count in enumerate(known):
         np.testing.assert_array_equal(
             np.array(before[w])[4 - count :], states[3 * w - count : 3 * w] if count else states[:0]
@@ -478,6 +502,9 @@ def kept_and_restored(watch: Watch, path: Path) -> Watch:
     _saved.restore(again, path)
     mine, theirs = (one.parts.passage.ledger.accounts[0] for one in (watch, again))
     assert mine.force.kind == theirs.force.kind
+    trails = [one.parts.passage.course.trail for one in (watch, again)]
+    assert len(trails[0])
+    np.testing.assert_array_equal(*trails)
     for what in ("force", "before", "message"):
         parts = (jax.tree.leaves(getattr(one, what)) for one in (mine, theirs))
         for a, b in zip(*parts, strict=True):

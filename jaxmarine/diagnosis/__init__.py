@@ -6,7 +6,6 @@ from ._diagnose import diagnose as diagnose
 from ._disturbed import known as known
 from ._filed import Coefficient as Coefficient
 from ._filed import base_coefficients as base_coefficients
-from ._fine import latest as latest
 from ._fine import parts_of as parts_of
 from ._fine import strength as strength
 from ._plan import Box as Box

@@ -30,11 +30,6 @@ def parts_of(steps: int, dt: float) -> int:
     return min(fits, key=lambda n: abs(np.log(steps * dt / n / STRAIGHT)), default=1)
 
 
-def latest(dt: float) -> int:
-    """Samples, `dt` [s] apart, that a sensor may be late by."""
-    return int(np.ceil(SensorDelay.plausible["delay"][1] / dt)) + 1
-
-
 def strength(vehicle: Vehicle) -> Float[np.ndarray, "6"]:
     """The full thrust [N, N m] of each axis, or of the strongest of its kind where an axis has none."""
     own = full_thrust(vehicle)
@@ -89,7 +84,7 @@ class Fine:
             joined=jnp.asarray(joined),
             axes=tuple(axes.tolist()),
         )
-        whole = dataclasses.replace(problem, records=records, windows=windows, behind=latest(dt))
+        whole = dataclasses.replace(problem, records=records, windows=windows, trail=SensorDelay.longest(dt))
         return cls(whole, parts, groups, count, begin, unit)
 
     @property

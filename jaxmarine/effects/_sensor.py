@@ -274,7 +274,14 @@ class SensorDelay(AbstractEffect):
         moves = free(craft, "surge", "sway", "heave")
         turns = free(craft, "roll", "pitch", "yaw")
         there = {"position": moves, "attitude": turns, "velocity": moves, "rate": turns}
-        return tuple(suspect for suspect in each(cls, LATE, {"delay": 0.3}) if there[str(suspect.target)])
+        # What was said to move a moment ago shows nothing of a sensor that is late by more than that.
+        some = each(cls, LATE, {"delay": 0.3})
+        return tuple(suspect for suspect in some if there[str(suspect.target)])
+
+    @classmethod
+    def longest(cls, dt: float) -> int:
+        """Samples, `dt` [s] apart, that a sensor may be late by, and one more."""
+        return math.ceil(cls.plausible["delay"][1] / dt - 1e-3) + 1
 
     @classmethod
     def title(cls, target: str | None) -> str:

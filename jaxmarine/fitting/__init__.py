@@ -103,6 +103,9 @@ from ._rollout import (
     start_precision as start_precision,
 )
 from ._rollout import (
+    true_velocity as true_velocity,
+)
+from ._rollout import (
     wrapped as wrapped,
 )
 from ._shares import AbstractShares as AbstractShares
@@ -149,11 +152,15 @@ from ._weights import scaled as scaled
 from ._weights import settled as settled
 from ._windows import FLOW as FLOW
 from ._windows import GAP as GAP
+from ._windows import PITCH as PITCH
+from ._windows import TURNS as TURNS
 from ._windows import Before as Before
-from ._windows import Behind as Behind
 from ._windows import Cut as Cut
 from ._windows import Records as Records
 from ._windows import Room as Room
+from ._windows import Trail as Trail
 from ._windows import Windows as Windows
+from ._windows import at_rest as at_rest
 from ._windows import cut as cut
 from ._windows import split as split
+from ._windows import steep as steep

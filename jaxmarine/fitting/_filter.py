@@ -42,7 +42,7 @@ from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
 from ._rows import Rows
-from ._windows import FLOW
+from ._windows import FLOW, Trail
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
@@ -240,7 +240,7 @@ def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbanc
 
     - `z`: how many parameters the rows have; behind them are a free wrench and the water.
     """
-    residual = rows.residual - _throughout(rows.jacobian[..., 12 + z :], force) @ push
+    residual = rows.residual - _throughout(rows.by_push, force) @ push
     return Line(
         f=jnp.concatenate([rows.a, _throughout(rows.b[..., z:], force)], axis=-1),
         h=jnp.concatenate([rows.h_x, _throughout(rows.h_z[..., z:], force)], axis=-1),
@@ -476,8 +476,8 @@ class Windowed(eqx.Module):
 
 @compiled
 def _lines(
-    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int
-) -> tuple[Windowed, Free]:
+    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int, trail: Trail
+) -> tuple[Windowed, Free, Trail]:
     given = affine.acts.shape[-1]
 
     def of_rows(rows, index):
@@ -487,13 +487,22 @@ def _lines(
     def each(carry, now):
         return carry, now
 
-    return swept(pushed(problem, force, path), affine, path.delta, knots, of_rows, each, None)[1]
+    whole = pushed(problem, force, path)
+    _, (every, free), trail = swept(whole, affine, path.delta, knots, of_rows, each, None, trail)
+    return every, free, trail
 
 
 def lines(
-    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int = 1
-) -> tuple[Windowed, Free]:
-    """All windows as linear systems, by z = 0 and by a free wrench.
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    knots: int = 1,
+    trail: Trail | None = None,
+) -> tuple[Windowed, Free, Trail]:
+    """All windows as linear systems, by z = 0 and by a free wrench, and their trail.
+
+    `trail`: of the windows before them; None: there are none.
 
     The program that everything else here goes on from: to compile it takes several times as long as all of
     that, and it is the same for all disturbances.
@@ -501,7 +510,9 @@ def lines(
     n = len(force.axes)
     nothing = jnp.zeros(n)
     still = dataclasses.replace(force, size=nothing, time=jnp.ones(n), frequency=nothing, flows=False)
-    return _lines(problem, affine, still, path, knots)
+    return _lines(
+        problem, affine, still, path, knots, Trail.nothing(problem.trail) if trail is None else trail
+    )
 
 
 def _in_turn(
@@ -511,14 +522,17 @@ def _in_turn(
     count = len(path.delta)
     size = part_of(count, HELD, BATCH)
     if size >= count:
-        yield *lines(problem, affine, force, path, knots), np.arange(count)
+        every, free, _ = lines(problem, affine, force, path, knots)
+        yield every, free, np.arange(count)
         return
+    trail = None
     for index in np.arange(-(-count // size) * size).reshape(-1, size):
         here = np.minimum(index, count - 1)
         windows, part = jax.tree.map(lambda a, here=here: a[here], (problem.windows, path))
         some = eqx.tree_at(lambda p: p.windows, problem, windows)
         beside = dataclasses.replace(force, gap=force.gap[here], joined=force.joined[here])
-        yield *lines(some, affine, beside, part, knots), index
+        every, free, trail = lines(some, affine, beside, part, knots, trail)
+        yield every, free, index
 
 
 def _filtered(line: Line, force: Disturbance) -> Passed:

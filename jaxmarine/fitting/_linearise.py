@@ -18,7 +18,7 @@ from ._affine import Affine
 from ._parts import in_parts, joined, part_of
 from ._rollout import CHUNK, Problem
 from ._rows import Rows, Sweep
-from ._windows import Behind
+from ._windows import Trail
 
 # Windows that are linearised together: the derivatives of some hundred steps stay in the processor's cache.
 BATCH = 10
@@ -77,7 +77,7 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
 
     - `delta`: changes of the windows' initial states (`State.moved`).
 
-    Fluid memory is driven by the measured velocity here instead of the simulated one: it is a low-pass
+    Fluid memory is driven by the records' velocity here instead of the simulated one: it is a low-pass
     filter, so the measurement's noise hardly reaches it, and the state stays as small as it is without.
     """
     group, groups = grouped(len(delta), problem.apart)
@@ -91,7 +91,7 @@ def linearise(problem: Problem, affine: Affine, delta: Float[Array, "windows 12"
         return _normal(problem, delta[index], rows), of_filled(group, groups, index)
 
     begin = jnp.zeros((groups + 1, count, count))
-    h_zz, kept = swept(problem, affine, delta, 0, of_rows, each, begin)
+    h_zz, kept, _ = swept(problem, affine, delta, 0, of_rows, each, begin)
     return Statistics(*kept, h_zz=h_zz[:-1])
 
 
@@ -154,7 +154,7 @@ def screening(
         return added(total, information[:given, :given], group), kept
 
     begin = jnp.zeros((groups + 1, given, given))
-    h, (chi2, g, h_own) = swept(problem, affine, delta, knots, of_rows, each, begin)
+    h, (chi2, g, h_own), _ = swept(problem, affine, delta, knots, of_rows, each, begin)
     return Screening(chi2, g, h[:-1], h_own)
 
 
@@ -182,12 +182,14 @@ def swept(
     of_rows: Callable[[Rows, Array], Any],
     each: Callable[[Any, Any], tuple[Any, Any]],
     begin: Any,
-) -> tuple[Any, Any]:
-    """All windows one after another: what is carried through them, and what is kept of every one.
+    trail: Trail | None = None,
+) -> tuple[Any, Any, Trail]:
+    """All windows one after another: what is carried through them, what is kept of each, and their trail.
 
     - `of_rows`: from a window's rows and its index what is wanted of it, for some windows at once; those that
       only fill the last batch up have indices beyond the last one.
     - `each`: from what is carried, beginning with `begin`, and that: what is carried on, and what is kept.
+    - `trail`: of the windows before these; None: there are none.
     """
     sweep = Sweep.of(problem, affine, knots)
     count = len(delta)
@@ -200,15 +202,17 @@ def swept(
         return jax.lax.scan(each, carry, wanted)
 
     def of_chunk(so_far, index):
-        carry, behind = so_far
+        carry, trail = so_far
         here = jnp.minimum(index, count - 1)
         rolled = sweep.rolled(*jax.tree.map(lambda a: a[here], (problem.windows, delta, sweep.driven.begun)))
-        if problem.behind:
-            rolled, behind = sweep.followed(rolled, behind)
+        if problem.trail:
+            rolled, trail = sweep.followed(rolled, trail)
         parts = jax.tree.map(lambda a: in_parts(a, batch), (rolled, index))
         carry, kept = jax.lax.scan(of_batch, carry, parts)
-        return (carry, behind), kept
+        return (carry, trail), kept
 
     chunks = jnp.arange(-(-count // chunk) * chunk).reshape(-1, chunk)
-    (carried, _), kept = jax.lax.scan(of_chunk, (begin, Behind.nothing(problem.behind)), chunks)
-    return carried, jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
+    before = Trail.nothing(problem.trail) if trail is None else trail
+    (carried, trail), kept = jax.lax.scan(of_chunk, (begin, before), chunks)
+    every = jax.tree.map(lambda a: joined(jax.vmap(joined, (0, None))(a, chunk), count), kept)
+    return carried, every, trail

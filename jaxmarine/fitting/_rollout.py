@@ -2,7 +2,7 @@
 
 Each segment of the logs has a plant of its own, each hold of a log its thrust, and each window the state
 that it begins in. A prediction simulates the fluid memory with the rest of the state; a linearisation
-follows the memory that the logged motion drives.
+follows the memory that the motion of the records drives.
 """
 
 import functools
@@ -51,8 +51,8 @@ class Problem(eqx.Module):
     - `split`: integration steps per sample, for a stiff vehicle (`simulation.substeps`).
     - `apart`: whether the information of each window is kept, as the scatter of a fit asks for, or their sum.
     - `axes`: those that can move.
-    - `behind`: samples before a window that late sensors show as the windows before it have them; 0: their
-      first line goes on backwards.
+    - `trail`: samples before a window that late sensors show as the windows before it have them; 0: as each
+      window's `before` has them, or, without, as its first line goes on backwards. Predictions do the latter.
     - `expected`: the records' motion is what was expected of the craft, and not what sensors showed.
     """
 
@@ -64,7 +64,7 @@ class Problem(eqx.Module):
     split: int | Int[Array, ""] = 1
     apart: bool = eqx.field(static=True, default=True)
     axes: tuple[int, ...] = eqx.field(static=True, default=tuple(range(6)))
-    behind: int = eqx.field(static=True, default=0)
+    trail: int = eqx.field(static=True, default=0)
     expected: bool = eqx.field(static=True, default=False)
 
     @property
@@ -152,8 +152,11 @@ def _inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     return cofactors.T * determinant / (determinant**2 + LEAST_SHOWN**6)
 
 
-def _true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Array, "6"]) -> Float[Array, "6"]:
-    """The velocity that the sensors show as the logged one: they are affine, and rates show no speeds."""
+def true_velocity(plant: Plant, attitude: Float[Array, "4"], logged: Float[Array, "6"]) -> Float[Array, "6"]:
+    """The velocity [m/s, rad/s] that sensors show as logged: they are affine, and rates show no speeds.
+
+    - `attitude`: quaternion.
+    """
 
     def shown(nu):
         state = State(jnp.zeros(3), attitude, nu, jnp.zeros(0))
@@ -180,7 +183,7 @@ def fluid_memory(problem: Problem, plants: Plant, asked: Bool[Array, ""] | bool 
 
     def through_water(attitude, logged, segment):
         plant = of_segment(plants, segment)
-        own = logged if problem.expected else _true_velocity(plant, attitude, logged)
+        own = logged if problem.expected else true_velocity(plant, attitude, logged)
         return plant.relative(attitude, own)
 
     def then(first, second):

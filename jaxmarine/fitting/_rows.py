@@ -43,7 +43,7 @@ from ._rollout import (
     wrapped,
 )
 from ._thrust_slopes import ThrustSlopes
-from ._windows import FLOW, Before, Behind, Windows
+from ._windows import FLOW, Before, Trail, Windows
 
 
 class Rows(eqx.Module):
@@ -52,7 +52,9 @@ class Rows(eqx.Module):
     - `jacobian`: derivatives of the residuals by the initial state, z, the free wrench, and the velocity of
       the water to the north and to the east, where windows say one.
     - `dt` of the holds; `a`, `b`: from a state and from all but the first of these over a hold to the next.
-    - `h_x`, `h_z`: from these to what is measured.
+    - `h_x`, `h_z`: from these to what is measured. `by_push`: derivatives of the residuals by the free wrench
+      and the water. All of them in time: how far a craft is off now stands for how far it was when a late
+      sensor saw it.
     - `states`, `end`: at the samples, and after the last hold; `begin`: derivative of the first one by the
       twelve changes of the initial state; `end_by`: of the latter, as `jacobian`.
     """
@@ -64,6 +66,7 @@ class Rows(eqx.Module):
     b: Float[Array, "steps 13 z"]
     h_x: Float[Array, "steps rows 13"]
     h_z: Float[Array, "steps rows z"]
+    by_push: Float[Array, "steps rows pushes"]
     begin: Float[Array, "13 12"]
     states: Float[Array, "steps 13"]
     end: Float[Array, "13"]
@@ -312,11 +315,11 @@ class Sweep(eqx.Module):
         d_slow = self.d_lagged[windows.log[:, None], windows.step]
         return _Rolled(windows, delta, begun, tracks, states, after, d_slow)
 
-    def followed(self, rolled: _Rolled, behind: Behind) -> tuple[_Rolled, Behind]:
-        """Windows that know what was before them, and what is behind after them."""
+    def followed(self, rolled: _Rolled, trail: Trail) -> tuple[_Rolled, Trail]:
+        """Windows that know what was before them, and the trail after them."""
         states = jax.vmap(jax.vmap(_flat))(rolled.states)
-        before, behind = behind.then(rolled.windows, states)
-        return rolled._replace(windows=dataclasses.replace(rolled.windows, before=before)), behind
+        before, trail = trail.then(self.problem.records, rolled.windows, states)
+        return rolled._replace(windows=dataclasses.replace(rolled.windows, before=before)), trail
 
     def rows(self, now: _Rolled) -> Rows:
         """One window's rows, with derivatives by its initial state and all that is asked for."""
@@ -338,6 +341,7 @@ class Sweep(eqx.Module):
         s_end, s = jax.lax.scan(recur, s_0, (a, b))
         weight = windows.weight[:, measured]
         jacobian = (h_x @ s).at[:, :, 12:].add(h_z)
+        by_push = jacobian[..., 12 + self.given :]
         value, jacobian = self._earlier(windows, track, value, jacobian)
         return Rows(
             residual=wrapped(value - windows.measured)[:, measured] * weight,
@@ -347,6 +351,7 @@ class Sweep(eqx.Module):
             b=b,
             h_x=h_x * weight[..., None],
             h_z=h_z * weight[..., None],
+            by_push=by_push * weight[..., None],
             begin=s_0[:, :12],
             states=x,
             end=x_after[-1],
@@ -465,13 +470,21 @@ class Sweep(eqx.Module):
             return value, jacobian
         when = Earlier(track.instant.t, delay[segment], self.problem.width)
 
+        def since(before: Before):
+            return self._since_before(before, windows, track, value, jacobian)
+
         def in_time():
+            # The slope of the past, which is that of the sample before.
+            if windows.before is not None:
+                return since(Before(windows.before.states[-1:], jnp.minimum(windows.before.known, 1)))
             return *when.shown(value), jacobian
 
         def late():
-            if windows.before is not None:
-                return self._since_before(windows.before, windows, track, value, jacobian)
-            return *when.shown(value), when.rows(jacobian, rows)
+            return (
+                since(windows.before)
+                if windows.before is not None
+                else (*when.shown(value), when.rows(jacobian, rows))
+            )
 
         # Mostly none is late; the predicate is the same for all windows of a batch.
         shown, slopes, jacobian = jax.lax.cond(jnp.any(delay != 0.0), late, in_time)

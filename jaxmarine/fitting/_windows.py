@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._errors import InputError
-from .._types import AXES
+from .._types import AXES, CHANNELS
 from ..logs import Log, StateTrack, alike, quaternions_of, smooth_states
 from ..vehicle import Vehicle
 
@@ -20,6 +20,7 @@ GAP = 5.5
 SHORTEST = 4  # samples of a window
 # Numbers of the water's velocity that is expected in a window: to the north, and to the east.
 FLOW = 2
+PITCH, TURNS = CHANNELS.index("theta"), np.array([CHANNELS.index(name) for name in ("phi", "psi")])
 
 
 class Records(eqx.Module):
@@ -27,7 +28,8 @@ class Records(eqx.Module):
 
     - `dt`: from each sample to the next [s]; `hold`: for how long a window goes on after it, which is the
       same but where none spans the gap behind it.
-    - `attitude`, `velocity` (body axes) are smoothed: lagged states at a window's start come from them.
+    - `attitude`, `velocity` (body axes), smoothed or as expected: lagged states at a window's start come from
+      them.
     """
 
     t: Float[Array, "logs steps"]
@@ -38,6 +40,16 @@ class Records(eqx.Module):
     attitude: Float[Array, "logs steps 4"]
     velocity: Float[Array, "logs steps 6"]
     segment: Int[Array, "logs steps"]
+
+
+def steep(pitch: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " samples"]:
+    """Where roll and yaw are not unique, and their errors say nothing: near a pitch [rad] of 90 degrees."""
+    return np.abs(np.cos(pitch)) < 0.15
+
+
+def at_rest(samples: int) -> Float[Array, "samples 13"]:
+    """Position, attitude and velocity of a craft that lies at the origin."""
+    return jnp.zeros((samples, 13)).at[:, 3].set(1.0)
 
 
 class Before(eqx.Module):
@@ -51,8 +63,8 @@ class Before(eqx.Module):
     known: Int[Array, " windows"]
 
 
-class Behind(eqx.Module):
-    """The last samples of the windows so far, which late sensors may show in those to come.
+class Trail(eqx.Module):
+    """Where a craft was last in the windows so far, which late sensors may show in those to come.
 
     - `states`: position, attitude, velocity; `known`: how many of them follow each other without a gap, the
       last ones. `log`, `step`: where the last one lies in `Records`.
@@ -64,18 +76,22 @@ class Behind(eqx.Module):
     step: Int[Array, ""]
 
     @classmethod
-    def nothing(cls, past: int) -> "Behind":
+    def nothing(cls, past: int) -> "Trail":
         """Before the first window."""
         none = jnp.array(-1)
-        return cls(jnp.zeros((past, 13)), jnp.array(0), none, none)
+        return cls(at_rest(past), jnp.array(0), none, none)
 
-    def then(self, windows: "Windows", states: Float[Array, "windows steps 13"]) -> tuple[Before, "Behind"]:
-        """What was before some windows with such states, and what is behind after them."""
+    def then(
+        self, records: Records, windows: "Windows", states: Float[Array, "windows steps 13"]
+    ) -> tuple[Before, "Trail"]:
+        """What was before some windows with such states, and the trail after them."""
         past, steps = len(self.states), windows.step.shape[1]
         along = jnp.concatenate([self.states, states.reshape(-1, 13)])
         log = jnp.concatenate([self.log[None], windows.log])
         last = jnp.concatenate([self.step[None], windows.step[:, -1]])
         follows = (windows.log == log[:-1]) & (windows.step[:, 0] == last[:-1] + 1)
+        # Behind the last sample before a gap a hold is shorter than the gap.
+        follows &= records.dt[log, last][:-1] == records.hold[log, last][:-1]
 
         def each(known, follows):
             known = jnp.where(follows, jnp.minimum(known, past), 0)
@@ -83,7 +99,7 @@ class Behind(eqx.Module):
 
         after, known = jax.lax.scan(each, self.known, follows)
         before = along[np.arange(windows.count)[:, None] * steps + np.arange(past)]
-        return Before(before, known), Behind(
+        return Before(before, known), Trail(
             along[len(along) - past :], jnp.minimum(after, past), log[-1], last[-1]
         )
 
@@ -293,9 +309,7 @@ def _weighed(
     free = vehicle.free[np.array(AXES[: len(noise)])].astype(bool)
     usable = np.isfinite(log.channels) & np.isfinite(noise) & free
     weight = np.where(usable, 1.0 / np.where(np.isfinite(noise), noise, 1.0), 0.0)
-    # Roll and yaw are not unique near a pitch of 90 degrees, where their errors say nothing.
-    steep = np.abs(np.cos(track.attitude[:, 1])) < 0.15
-    weight[steep, 3] = weight[steep, 5] = 0.0
+    weight[np.ix_(steep(track.attitude[:, 1]), TURNS)] = 0.0
     return np.where(usable, log.channels, 0.0), weight
 
 

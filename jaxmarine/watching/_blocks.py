@@ -17,20 +17,21 @@ from jaxtyping import Array, Float, Int
 
 from .._compiled import compiled
 from .._errors import InputError
-from .._types import AXES, CHANNELS
+from .._types import AXES
 from ..diagnosis import (
     Coefficient,
     Layout,
     SaturatedPlant,
     base_coefficients,
-    latest,
     parts_of,
     saturate,
     strength,
 )
-from ..effects import AbstractEffect
+from ..effects import AbstractEffect, SensorDelay
 from ..fitting import (
     FLOW,
+    PITCH,
+    TURNS,
     USUAL_MEMORY,
     USUAL_SIZE,
     Affine,
@@ -43,12 +44,15 @@ from ..fitting import (
     Records,
     Windowed,
     Windows,
+    at_rest,
     filtered,
     lines,
     noise_of,
     nothing_known,
     start_precision,
     start_spread,
+    steep,
+    true_velocity,
 )
 from ..logs import Log, quaternions_of, smooth_states
 from ..simulation import substeps
@@ -62,8 +66,6 @@ PAST = 10.0
 LONG = 1e6
 # Rows before and behind those of a block by which its beginning is smoothed where it is as measured [s].
 AROUND = 0.5
-# So near to the vertical (cosine of pitch) roll and yaw are noise.
-PITCH, STEEP = CHANNELS.index("theta"), 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,11 +169,6 @@ class Bench:
         return round(PAST / self.dt)
 
     @property
-    def behind(self) -> int:
-        """Samples before a block that a sensor may still show."""
-        return latest(self.dt)
-
-    @property
     def length(self) -> float:
         """Of a window [s]."""
         return self.whole * self.steps * self.dt
@@ -229,14 +226,14 @@ class Bench:
         joined: bool,
         split: int,
         z: Float[np.ndarray, " z"],
-        course: Float[np.ndarray, "_ 13"],
+        trail: Float[np.ndarray, "_ 13"],
     ) -> Windowed:
         """A block as a linear system.
 
         - `rows`: what there is of `past` rows before it, its own, and one more, that ends its last hold.
         - `begun`: what all before it lets one expect; None: as measured. `gap`, `joined`: see `Disturbance`.
         - `z`: which parameters it is linear about; it tells of them all as seen from neutral.
-        - `course`: where the craft was expected at the samples before, as far as the stretch goes back.
+        - `trail`: where the craft was expected at the samples before, as far as the stretch goes back.
         """
         short = self.past + self.steps + 1 - len(rows.t)
         before = rows.t[0] - self.dt * np.arange(short, 0, -1)
@@ -246,12 +243,12 @@ class Bench:
 
         t = np.concatenate([before, rows.t])
         here = slice(self.past, self.past + self.steps)
-        begun = self._measured(rows) if begun is None else begun
-        behind = np.concatenate([course, begun.state[None]])
+        begun = self._measured(rows, z) if begun is None else begun
+        so_far = np.concatenate([trail, begun.state[None]])
         # What fluids remember is a low-pass of this. Smoothed, it has the noise of what is yet to come in it:
         # in gusts, at 1 Hz, that made a fluid memory of 19 nats that is none in four hours.
-        at = np.clip(np.arange(len(t)) - here.start + len(course), 0, len(course))
-        attitude, velocity = behind[at, 3:7], behind[at, 7:]
+        at = np.clip(np.arange(len(t)) - here.start + len(trail), 0, len(trail))
+        attitude, velocity = so_far[at, 3:7], so_far[at, 7:]
         dt = jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None])
         records = Records(
             t=jnp.asarray(t[None]),
@@ -267,7 +264,7 @@ class Bench:
         usable = np.isfinite(measured) & np.isin(np.arange(measured.shape[1]), self.channels)
         weight = np.where(usable, 1.0 / np.where(np.isfinite(self.noise), self.noise, 1.0), 0.0)
         pitch = np.where(usable[:, PITCH], measured[:, PITCH], begun.pitch)
-        weight[np.abs(np.cos(pitch)) < STEEP, PITCH - 1 : PITCH + 2 : 2] = 0.0
+        weight[np.ix_(steep(pitch), TURNS)] = 0.0
         windows = Windows(
             log=jnp.zeros(1, int),
             step=jnp.arange(here.start, here.stop)[None],
@@ -276,7 +273,7 @@ class Bench:
             position=jnp.asarray(begun.position[None]),
             attitude=jnp.asarray(begun.attitude[None]),
             velocity=jnp.asarray(begun.velocity[None]),
-            before=self._before(course),
+            before=self._before(trail),
         )
         problem = Problem(
             self.saturated,
@@ -299,24 +296,23 @@ class Bench:
         end[..., -1] -= end[..., :-1] @ z
         return dataclasses.replace(window, line=dataclasses.replace(window.line, residual=residual), end=end)
 
-    def _measured(self, rows: Rows) -> "Begun":
-        """Where a block begins, as measured: its rows and one more are the last ones."""
+    def _measured(self, rows: Rows, z: Float[np.ndarray, " z"]) -> "Begun":
+        """Where a block begins, as measured by sensors at z: its rows and one more are the last."""
         first = len(rows.t) - self.steps - 1
         around = max(0, first - round(AROUND / self.dt))
         near = rows.part(around)
         track = smooth_states(near.log(self.vehicle, False, "rows"), self.vehicle.dof)
         turn = quaternions_of(track.attitude[first - around : first - around + 1])[0]
-        still = np.zeros(len(self.axes) + FLOW)
-        return Begun(track.position[first - around], turn, track.nu[first - around], still)
+        theta, nu = jnp.asarray(self.layout.neutral + z), jnp.asarray(track.nu[first - around])
+        velocity = np.array(_unlogged(self.saturated, theta, jnp.asarray(turn), nu))
+        return Begun(track.position[first - around], turn, velocity, np.zeros(len(self.axes) + FLOW))
 
-    def _before(self, course: Float[np.ndarray, "_ 13"]) -> Before:
-        """What was before a block, as long as sensors may be late; of what is not known a craft at rest."""
-        most = self.behind
-        known = course[-most:]
-        states = np.zeros((1, most, 13))
-        states[..., 3] = 1.0
-        states[0, most - len(known) :] = known
-        return Before(jnp.asarray(states), jnp.array([len(known)]))
+    def _before(self, trail: Float[np.ndarray, "_ 13"]) -> Before:
+        """What was before a block, as long as sensors may be late."""
+        states = np.array(at_rest(SensorDelay.longest(self.dt)))
+        known = trail[-len(states) :]
+        states[len(states) - len(known) :] = known
+        return Before(jnp.asarray(states[None]), jnp.array([len(known)]))
 
     @property
     def empty(self) -> Windowed:
@@ -364,6 +360,11 @@ def expected(message: Message, force: Disturbance, after: float, z: Float[np.nda
     state, left = map(np.asarray, _expected(message, force, jnp.asarray(after), jnp.asarray(z)))
     turn = state[3:7] / np.linalg.norm(state[3:7])
     return Begun(state[:3], turn, state[7:], -left)
+
+
+@compiled
+def _unlogged(saturated: SaturatedPlant, theta: Array, attitude: Array, logged: Array) -> Array:
+    return true_velocity(saturated(theta, jnp.array(0)), attitude, logged)
 
 
 @compiled

@@ -15,7 +15,8 @@ class Course:
     - `rows`: what a block needs of the past, and what is to come; `waiting`: behind them, not joined yet.
       `next`: where the next block begins in them.
     - `begun`: what is expected there, None: not known yet, and so as measured. `gap` [s]: to the block
-      before. `within`: blocks of this stretch so far; `behind`: where the craft was expected in the last.
+      before. `within`: blocks of this stretch so far; `trail`: where
+      the craft was expected in the last of them, samples of position, quaternion, velocity.
     - `speed` [m/s, rad/s]: the fastest that integration steps are made for, `split` of them per sample.
     """
 
@@ -37,7 +38,7 @@ class Course:
         self.next = int(np.ceil(self.bench.settling / self.bench.dt - 1e-9))
         self.begun: Begun | None = None
         self.gap, self.within = gap, 0
-        self.behind = np.zeros((0, 13))
+        self.trail = np.zeros((0, 13))
 
     def gap_before(self, row: Rows) -> float:
         """How long nothing came before a row [s], 0 if that is no gap."""
@@ -72,14 +73,15 @@ class Course:
         joined = self.within % bench.whole > 0
         z = about.at(own.t[0])
         window = bench.window(
-            self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split, z, self.behind
+            self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split, z, self.trail
         )
         return window, self.rows.part(self.next, end + 1)
 
     def go_on(self, begun: Begun, states: Float[np.ndarray, "steps 13"]) -> None:
         """To the next block, where so much is expected, from one with such states."""
         self.begun, self.gap = begun, 0.0
-        self.behind = np.concatenate([self.behind, states])[-self.bench.past :]
+        trail = np.concatenate([self.trail, states])
+        self.trail = trail[max(0, len(trail) - self.bench.past) :]
         self.within, self.next = self.within + 1, self.next + self.bench.steps
 
 

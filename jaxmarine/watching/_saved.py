@@ -105,7 +105,7 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
     bench, course, ledger = passage.bench, passage.course, passage.ledger
     held = ledger.held
     arrays: dict[str, Any] = {"noise": bench.noise, "speed": course.speed}
-    arrays |= {"columns": passage.columns, "behind": course.behind}
+    arrays |= {"columns": passage.columns, "trail": course.trail}
     arrays |= {"begun_at": ledger.begun_at[:held], "counts": ledger.counts[:held]}
     arrays |= {f"windows{i}": leaf[:held] for i, leaf in enumerate(jax.tree.leaves(ledger.windows))}
     if judge.nats is not None:
@@ -192,7 +192,7 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
     def several(name: str) -> list[np.ndarray]:
         return [arrays[f"{name}{j}"] for j in range(4)] if f"{name}0" in arrays else []
 
-    course.speed, course.behind = arrays["speed"], arrays["behind"]
+    course.speed, course.trail = arrays["speed"], arrays["trail"]
     course.rows = Rows(*some) if (some := several("rows")) else None
     course.waiting = [Rows(*some)] if (some := several("waiting")) else []
     course.begun = Begun(*some) if (some := several("begun")) else None
