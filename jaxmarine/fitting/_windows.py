@@ -59,8 +59,8 @@ class Before(eqx.Module):
     - `known`: how many of them are, the last ones.
     """
 
-    states: Float[Array, "windows past 13"]
-    known: Int[Array, " windows"]
+    states: Float[Array, "*windows past 13"]
+    known: Int[Array, "*windows"]
 
 
 class Trail(eqx.Module):
