@@ -282,8 +282,7 @@ def test_a_late_sensor_is_read_along_all_windows(monkeypatch):
         delay = np.zeros((len(t), 4))
         delay[:, LATE.index("velocity")] = 0.7
         shown = np.asarray(late(t, jnp.asarray(channels), jnp.asarray(delay)))
-        measured = (np.asarray(one)[:count].reshape(-1, 18) for one in (windows.measured, windows.weight))
-        values, weight = measured
+        values, weight = (np.asarray(a)[:count].reshape(-1, 18) for a in (windows.measured, windows.weight))
         for channel in (6, 7):
             row = problem.channels.index(channel)
             off = np.asarray(every.line.residual)[:count, :, row, -1].ravel()

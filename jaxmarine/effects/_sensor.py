@@ -274,7 +274,7 @@ class SensorDelay(AbstractEffect):
         moves = free(craft, "surge", "sway", "heave")
         turns = free(craft, "roll", "pitch", "yaw")
         there = {"position": moves, "attitude": turns, "velocity": moves, "rate": turns}
-        # What was said to move a moment ago shows nothing of a sensor that is late by more than that.
+        # The slope at zero says little of a sensor that is late by longer than a motion takes to begin.
         some = each(cls, LATE, {"delay": 0.3})
         return tuple(suspect for suspect in some if there[str(suspect.target)])
 

@@ -470,21 +470,24 @@ class Sweep(eqx.Module):
             return value, jacobian
         when = Earlier(track.instant.t, delay[segment], self.problem.width)
 
-        def since(before: Before):
+        def along(before: Before | None):
+            """Between which samples late sensors read, and readings and derivatives from `before` on."""
+            if before is None:
+                return when, value, jacobian
             return self._since_before(before, windows, track, value, jacobian)
+
+        own = slice(-self.steps, None)
 
         def in_time():
             # The slope of the past, which is that of the sample before.
-            if windows.before is not None:
-                return since(Before(windows.before.states[-1:], jnp.minimum(windows.before.known, 1)))
-            return *when.shown(value), jacobian
+            when, values, _ = along(None if windows.before is None else windows.before.last)
+            shown, slopes = when.shown(values)
+            return shown[own], slopes[own], jacobian
 
         def late():
-            return (
-                since(windows.before)
-                if windows.before is not None
-                else (*when.shown(value), when.rows(jacobian, rows))
-            )
+            when, values, by = along(windows.before)
+            shown, slopes = when.shown(values)
+            return shown[own], slopes[own], when.rows(by, rows)[own]
 
         # Mostly none is late; the predicate is the same for all windows of a batch.
         shown, slopes, jacobian = jax.lax.cond(jnp.any(delay != 0.0), late, in_time)
@@ -493,14 +496,13 @@ class Sweep(eqx.Module):
 
     def _since_before(
         self, before: Before, windows: Windows, track: Track, value: Array, jacobian: Array
-    ) -> tuple[Array, Array, Array]:
-        """What late sensors show of a window and of what was before it, its slopes [1/s] and derivatives.
+    ) -> tuple[Earlier, Array, Array]:
+        """Between which samples late sensors read; readings and derivatives of what was before, and now.
 
         What was before is as it was expected: no initial state of the window changes it.
         """
         assert self.plants.delay is not None
-        x, rows = before.states, np.array(self.problem.channels, int)
-        count = len(x)
+        x, count = before.states, len(before.states)
 
         def as_first(values):
             return jnp.broadcast_to(values[0], (count, *values.shape[1:]))
@@ -518,8 +520,7 @@ class Sweep(eqx.Module):
         t = jnp.concatenate([early, track.instant.t])
         delay = self.plants.delay[jnp.concatenate([segment, track.segment])]
         when = Earlier(t, delay, self.problem.width, count - before.known)
-        shown, slopes = when.shown(jnp.concatenate([seen, value]))
-        return shown[count:], slopes[count:], when.rows(jnp.concatenate([by, jacobian]), rows)[count:]
+        return when, jnp.concatenate([seen, value]), jnp.concatenate([by, jacobian])
 
 
 def _kinematics(x: Float[Array, "13"]) -> Float[Array, "7"]:

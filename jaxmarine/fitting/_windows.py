@@ -62,6 +62,11 @@ class Before(eqx.Module):
     states: Float[Array, "*windows past 13"]
     known: Int[Array, "*windows"]
 
+    @property
+    def last(self) -> "Before":
+        """The sample just before a window alone."""
+        return Before(self.states[..., -1:, :], jnp.minimum(self.known, 1))
+
 
 class Trail(eqx.Module):
     """Where a craft was last in the windows so far, which late sensors may show in those to come.

@@ -3,6 +3,7 @@ from ._columns import ColumnMap as ColumnMap
 from ._columns import ColumnSource as ColumnSource
 from ._columns import read_columns as read_columns
 from ._craft import Craft as Craft
+from ._euler import angles_of as angles_of
 from ._euler import matrices_of as matrices_of
 from ._euler import quaternions_of as quaternions_of
 from ._kinematics import Kinematics as Kinematics

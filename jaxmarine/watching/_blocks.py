@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial.transform import Rotation
 
 from .._compiled import compiled
 from .._errors import InputError
@@ -54,7 +55,7 @@ from ..fitting import (
     steep,
     true_velocity,
 )
-from ..logs import Log, quaternions_of, smooth_states
+from ..logs import Log, angles_of, quaternions_of, smooth_states
 from ..simulation import substeps
 from ..vehicle import Vehicle
 
@@ -260,7 +261,7 @@ class Bench:
             velocity=jnp.asarray(velocity[None]),
             segment=jnp.zeros((1, len(t)), int),
         )
-        measured = filled(rows.channels)[here]
+        measured = rows.channels[-self.steps - 1 : -1]
         usable = np.isfinite(measured) & np.isin(np.arange(measured.shape[1]), self.channels)
         weight = np.where(usable, 1.0 / np.where(np.isfinite(self.noise), self.noise, 1.0), 0.0)
         pitch = np.where(usable[:, PITCH], measured[:, PITCH], begun.pitch)
@@ -351,8 +352,7 @@ class Begun(NamedTuple):
     @property
     def pitch(self) -> float:
         """[rad]."""
-        w, x, y, z = self.attitude
-        return float(np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)))
+        return float(angles_of(Rotation.from_quat(self.attitude, scalar_first=True))[1])
 
 
 def expected(message: Message, force: Disturbance, after: float, z: Float[np.ndarray, " z"]) -> Begun:

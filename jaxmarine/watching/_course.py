@@ -15,8 +15,8 @@ class Course:
     - `rows`: what a block needs of the past, and what is to come; `waiting`: behind them, not joined yet.
       `next`: where the next block begins in them.
     - `begun`: what is expected there, None: not known yet, and so as measured. `gap` [s]: to the block
-      before. `within`: blocks of this stretch so far; `trail`: where
-      the craft was expected in the last of them, samples of position, quaternion, velocity.
+      before. `within`: blocks of this stretch so far; `trail`: position, quaternion and velocity that
+      were expected at the samples of the last ones.
     - `speed` [m/s, rad/s]: the fastest that integration steps are made for, `split` of them per sample.
     """
 
