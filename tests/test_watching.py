@@ -249,30 +249,30 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
     )
     passage = SimpleNamespace(ledger=ledger)
 
-    def told(passage, members, known, account):
+    def told(passage, members, known, account, begins):
         since, first = members[-1].since, float(known[-1])
+        # Before it begins nothing acts otherwise.
+        assert begins == since and passage == "none"
         level = levels.get((since, first))
         if level is None:
             return None
         # What always was goes on beside the disturbance that was told with its beginning.
         assert account == ("told" if since < weighed else None)
-        return SimpleNamespace(
-            level=level, at_hand=level, members=members, known=known, account=account, passage=passage
-        )
+        return SimpleNamespace(level=level, at_hand=level, members=members, known=known, account=account)
 
     def promised(*given):
         found = told(*given)
         # Slopes promise a little less than there is.
         return found and SimpleNamespace(**(vars(found) | {"level": found.level - 0.1}))
 
-    def settled(passage, members, known, account):
-        found = told(passage, members, known, account)
+    def settled(*given):
+        found = told(*given)
         return found and SimpleNamespace(**(vars(found) | {"account": "told"}))
 
     monkeypatch.setattr(_rivals, "tell", settled)
     monkeypatch.setattr(_rivals, "promised", promised)
     monkeypatch.setattr(_rivals, "possible", lambda told: True)
-    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0))
+    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0), passage="none")
     field: Any = _rivals.Field(passage, (), none)
     member = Member(0, weighed)
     return next(field.sloped([_rivals.Weighed(30.0, member, None)]), None)
@@ -426,6 +426,38 @@ def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
     np.testing.assert_array_equal(again.ledger.begun_at[:held], passage.ledger.begun_at[:held])
     for mine, theirs in zip(again.ledger.accounts[0].said, account.said, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("after", [7, 9, 12])
+def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(broken, after):
+    """Within a stretch, where one begins behind a gap, and later; beside another disturbance."""
+    watch = Watch(boat(), catalogue=SMALL)
+    rows = list(rows_of(broken))[:110]
+    for row in [*rows[:48], *rows[56:]]:
+        watch.update(row)
+    passage = watch.parts.passage
+    layout, begun_at = passage.bench.layout, passage.ledger.begun_at
+    gaps = np.flatnonzero(np.diff(begun_at[: passage.ledger.held]) > 0.6) + 1
+    assert 9 in gaps and passage.ledger.held > 14
+    account = passage.ledger.accounts[0]
+    stronger = dataclasses.replace(
+        account, force=dataclasses.replace(account.force, size=3 * account.force.size)
+    )
+    suspect = next(i for i, one in enumerate(layout.suspects) if one.label == "thruster_gain:port")
+    base = len(passage.bench.base)
+    none = passage.again(np.zeros(base), (), stronger)
+    since = float(begun_at[after])
+    told = np.append(np.zeros(base), -0.4), (Member(suspect, since),)
+    whole = passage.again(*told, stronger)
+    for _ in range(2):  # anew, and from what was remembered
+        part = none.again(*told, stronger, since)
+        assert part.ledger.held == passage.ledger.held and part.ledger.blocks == passage.ledger.blocks
+        assert part.ledger.t == whole.ledger.t
+        np.testing.assert_array_equal(part.rows.t[-20:], whole.rows.t[-20:])
+        for mine, theirs in zip(part.ledger.accounts[0].said, whole.ledger.accounts[0].said, strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(part.course.begun.state, whole.course.begun.state, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(part.course.trail.shape, whole.course.trail.shape)
 
 
 # --- a watch -------------------------------------------------------------------------------------

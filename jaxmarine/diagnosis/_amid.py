@@ -8,7 +8,15 @@ import numpy as np
 
 from .._errors import runaway
 from ..effects import WaterEffect
-from ..fitting import USUAL_MEMORY, Disturbance, count_of, start_spread, with_current, with_swell
+from ..fitting import (
+    USUAL_MEMORY,
+    Disturbance,
+    count_of,
+    improbability,
+    start_spread,
+    with_current,
+    with_swell,
+)
 from ._explanation import Beside, Member, Model
 from ._workbench import Workbench
 
@@ -76,7 +84,9 @@ def widened(bench: Workbench, model: Model, with_one: Callable[..., Disturbance 
     assert beside is not None
     problem, every = bench.lines(model, beside)
     spread = start_spread(problem.start_precision)
-    wider = with_one(spread, every, beside.force, bench.fine.unit)
+    unit = bench.fine.unit
+    worth = float(improbability(spread, every, [beside.force], unit)[0])
+    wider = with_one(spread, every, beside.force, unit, worth)
     if wider is None:
         return model
     unlearned = UNLEARNED * np.eye(count_of(wider))

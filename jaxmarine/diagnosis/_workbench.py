@@ -829,8 +829,8 @@ class Workbench:
         every = path_lines(problem, affine, beside.force, beside.path, self._of_parts(wrench))
         force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
         now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)
-        before, after = (improbability(spread, without, one, unit) for one in (beside.force, force))
-        return now, 0.5 * (after - before)
+        before, after = improbability(spread, without, [beside.force, force], unit)
+        return now, 0.5 * float(after - before)
 
     def _of_parts(self, at_knots: Float[np.ndarray, "windows knots *values"]) -> Array:
         """What is given at the knots of whole windows, for the windows cut up, then zeros."""

@@ -25,7 +25,7 @@ Source: after Ljung, System Identification, on prediction errors, and Anderson a
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -319,19 +319,20 @@ def _passed_on(
     e = np.arange(given, given + first)
     rest = np.delete(np.arange(given + first + 1), e)
     # As if it began with the mean, which goes with the columns that stay: mean (z, 1), and something new.
-    onto = jnp.zeros((given + first + 1, given + 1)).at[rest].set(jnp.eye(given + 1)).at[e].set(mean)
-    slope = passed.information[e] @ onto
+    of_e, own = passed.information[np.ix_(e, rest)], passed.information[np.ix_(e, e)]
+    slope = of_e + own @ mean
     # Regular where a disturbance has no size.
-    whole = jnp.eye(first) + passed.information[np.ix_(e, e)] @ covariance
+    whole = jnp.eye(first) + own @ covariance
     gain = covariance @ jnp.linalg.inv(whole)
     gain = 0.5 * (gain + gain.T)
     by_e = passed.last[:, e]
     after = Message(
-        mean=passed.last @ onto - by_e @ (gain @ slope),
+        mean=passed.last[:, rest] + by_e @ (mean - gain @ slope),
         covariance=passed.covariance + by_e @ gain @ by_e.T,
         end=end,
     )
-    information = onto.T @ passed.information @ onto - slope.T @ gain @ slope
+    information = passed.information[np.ix_(rest, rest)] + of_e.T @ mean
+    information = information + mean.T @ slope - slope.T @ gain @ slope
     return information, passed.log_det + jnp.linalg.slogdet(whole)[1], after
 
 
@@ -702,36 +703,47 @@ def unusual(force: Disturbance, unit: Float[np.ndarray, " axes"]) -> float:
     return float(Logarithms(len(force.axes)).unusual(force, jnp.asarray(unit)))
 
 
-@compiled
-def _improbability(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
-    """-2 log p(samples, sizes, memories) but for a constant, and its slope by the `Logarithms`."""
+def _minus_twice(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
+    """-2 log p(samples, sizes, memories) but for a constant."""
     meaning = Logarithms(len(force.axes))
+    now = meaning.set(force, unit, logarithms)
 
-    def of(logarithms):
-        now = meaning.set(force, unit, logarithms)
+    @jax.checkpoint
+    def each(message, here):
+        window, passed = here
+        information, log_det, message = window.after(message, passed, now, spread)
+        return message, information[-1, -1] + log_det
 
-        @jax.checkpoint
-        def each(message, here):
-            window, passed = here
-            information, log_det, message = window.after(message, passed, now, spread)
-            return message, information[-1, -1] + log_det
+    passed = _filtered(every.line, now)
+    _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), (every, passed))
+    return minus_twice.sum() + meaning.unusual(now, unit)
 
-        passed = _filtered(every.line, now)
-        _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), (every, passed))
-        return minus_twice.sum() + meaning.unusual(now, unit)
 
-    return jax.value_and_grad(of)(logarithms)
+@compiled
+def _sloped(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
+    """-2 log p(samples, sizes, memories) but for a constant, and its slope by the `Logarithms`."""
+    return jax.value_and_grad(_minus_twice)(logarithms, unit, every, spread, force)
+
+
+@compiled
+def _valued(each: Float[Array, "some logarithms"], unit: Array, every: Windowed, spread, force):
+    """The same of several, without slopes, which take three times as long."""
+    return jax.lax.map(lambda logarithms: _minus_twice(logarithms, unit, every, spread, force), each)
 
 
 def improbability(
-    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
-) -> float:
+    spread: Float[Array, "12"],
+    every: Windowed,
+    forces: Sequence[Disturbance],
+    unit: Float[np.ndarray, " axes"],
+) -> Float[np.ndarray, " forces"]:
     """Minus twice the logarithm of the samples' likelihood and a disturbance's prior, but for a constant.
 
-    - `spread`, `unit`: as of `estimated`.
+    - `forces`: of one kind, on the same axes. `spread`, `unit`: as of `estimated`.
     """
-    logarithms = jnp.asarray(Logarithms(len(force.axes)).of(force, unit))
-    return float(_improbability(logarithms, jnp.asarray(unit), every, spread, force)[0])
+    meaning = Logarithms(len(forces[0].axes))
+    logarithms = jnp.asarray(np.array([meaning.of(force, unit) for force in forces]))
+    return np.asarray(_valued(logarithms, jnp.asarray(unit), every, spread, forces[0]))
 
 
 def estimated(
@@ -757,7 +769,7 @@ def estimated(
 
     def of(whitened):
         logarithms = jnp.asarray(begin + root @ whitened)
-        value, slope = _improbability(logarithms, jnp.asarray(unit), every, spread, force)
+        value, slope = _sloped(logarithms, jnp.asarray(unit), every, spread, force)
         value, slope = float(value), root.T @ np.asarray(slope)
         # Where the path has run away there is nothing to be found.
         return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (1e300, 0 * slope)
@@ -774,9 +786,16 @@ def estimated(
 
 
 def with_swell(
-    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+    spread: Float[Array, "12"],
+    every: Windowed,
+    force: Disturbance,
+    unit: Float[np.ndarray, " axes"],
+    worth: float,
 ) -> Disturbance | None:
-    """The disturbance with a swell in its place, of its likeliest period, where that is likelier."""
+    """The disturbance with a swell in its place, of its likeliest period, where that is likelier.
+
+    - `worth`: `improbability` of the disturbance as it is.
+    """
     n = len(force.axes)
     own, flow = slice(0, n), slice(n, None)
     time = [jnp.maximum(force.time[own], USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
@@ -788,15 +807,22 @@ def with_swell(
     swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
     frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[flow]]) for one in swinging]
     swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
-    return _likeliest(spread, every, force, swells, unit)
+    return _likeliest(spread, every, swells, unit, worth)
 
 
 def with_current(
-    spread: Float[Array, "12"], every: Windowed, force: Disturbance, unit: Float[np.ndarray, " axes"]
+    spread: Float[Array, "12"],
+    every: Windowed,
+    force: Disturbance,
+    unit: Float[np.ndarray, " axes"],
+    worth: float,
 ) -> Disturbance | None:
-    """The disturbance with a current beside it, of its likeliest size, where that is likelier."""
+    """The disturbance with a current beside it, of its likeliest size, where that is likelier.
+
+    - `worth`: `improbability` of the disturbance as it is.
+    """
     small = dataclasses.replace(force, size=force.size.at[: len(force.axes)].multiply(LEFT))
-    return _likeliest(spread, every, force, [flowing(small, size) for size in CURRENTS], unit)
+    return _likeliest(spread, every, [flowing(small, size) for size in CURRENTS], unit, worth)
 
 
 def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:
@@ -813,13 +839,14 @@ def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:
 def _likeliest(
     spread: Float[Array, "12"],
     every: Windowed,
-    force: Disturbance,
-    others: list[Disturbance],
+    others: Sequence[Disturbance],
     unit: Float[np.ndarray, " axes"],
+    worth: float,
 ) -> Disturbance | None:
-    """The likeliest of some other disturbances, if it is likelier than one."""
-    best, which = min((improbability(spread, every, one, unit), i) for i, one in enumerate(others))
-    return others[which] if best < improbability(spread, every, force, unit) else None
+    """The likeliest of some other disturbances, if it is likelier than one that is worth so much."""
+    of_others = improbability(spread, every, others, unit)
+    best = int(np.argmin(np.nan_to_num(of_others, nan=np.inf)))
+    return others[best] if of_others[best] < worth else None
 
 
 class Likelihood(eqx.Module):

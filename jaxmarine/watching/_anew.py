@@ -45,36 +45,48 @@ class Told(NamedTuple):
 
 
 def tell(
-    passage: Passage, members: Sequence[Member], known: Float[np.ndarray, " known"], account: Account
+    passage: Passage,
+    members: Sequence[Member],
+    known: Float[np.ndarray, " known"],
+    account: Account,
+    since: float = -np.inf,
 ) -> Told | None:
     """Tells the rows at hand about members with known numbers, estimates these, and so on until they stay.
 
     The file's own coefficients stay where they are, as they are near enough. None where the craft runs away,
     or where no craft can have a member, so estimated.
+
+    - `since`: as of `Passage.again`.
     """
     told: Told | None = None
     for _ in range(TIMES):
-        before, told = known, promised(passage, members, known, account)
+        before, told = known, promised(passage, members, known, account, since)
         if told is None:
             return None
         told.passage.ledger.estimate(told.account, told.members)
         told = estimated(told)
         members, known, account = told.members, told.known, told.account
-        since, suspicions = told.passage.ledger.since(account), told.passage.ledger.suspicions
-        moved = np.abs(known - before) > suspicions.errors(since, members)
+        sums, suspicions = told.passage.ledger.since(account), told.passage.ledger.suspicions
+        moved = np.abs(known - before) > suspicions.errors(sums, members)
         if not moved[len(suspicions.base) :].any():
             break
     return told if told is not None and possible(told) else None
 
 
 def promised(
-    passage: Passage, members: Sequence[Member], known: Float[np.ndarray, " known"], account: Account
+    passage: Passage,
+    members: Sequence[Member],
+    known: Float[np.ndarray, " known"],
+    account: Account,
+    since: float = -np.inf,
 ) -> Told | None:
     """Tells the rows at hand once about members with known numbers, beside the disturbance of an account.
 
     What the slopes there promise; None where the craft runs away.
+
+    - `since`: as of `Passage.again`.
     """
-    again = passage.again(known, members, account)
+    again = passage.again(known, members, account, since)
     if again is None:
         return None
     return estimated(Told(again, tuple(members), known, -np.inf))

@@ -8,7 +8,7 @@ catalogue at once. Arrays have one shape from the first block to the last, so th
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -200,6 +200,11 @@ class Bench:
         return SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed))))
 
     @functools.cached_property
+    def resting(self) -> Float[np.ndarray, "late 13"]:
+        """What may be before a block, as long as sensors may be late."""
+        return np.asarray(at_rest(SensorDelay.longest(self.dt)))
+
+    @functools.cached_property
     def about_neutral(self) -> Affine:
         """The parameters of the whole catalogue, each by a z of its own."""
         size = self.layout.size
@@ -236,66 +241,48 @@ class Bench:
         - `z`: which parameters it is linear about; it tells of them all as seen from neutral.
         - `trail`: where the craft was expected at the samples before, as far as the stretch goes back.
         """
+        begun = self._measured(rows, z) if begun is None else begun
+        seen = self._seen(rows, begun, trail)
+        force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
+        affine = dataclasses.replace(self.about_neutral, theta=jnp.asarray((self.layout.neutral + z)[None]))
+        kit = self.saturated, self.start, self.channels, self.vehicle.axes
+        window = jax.tree.map(np.asarray, _linear(kit, affine, force, seen, np.array(split)))
+        residual, end = np.array(window.line.residual), np.array(window.end)
+        residual[..., -1] -= residual[..., :-1] @ z
+        end[..., -1] -= end[..., :-1] @ z
+        return dataclasses.replace(window, line=dataclasses.replace(window.line, residual=residual), end=end)
+
+    def _seen(self, rows: Rows, begun: "Begun", trail: Float[np.ndarray, "_ 13"]) -> "Seen":
+        """Arguments as of `window`."""
         short = self.past + self.steps + 1 - len(rows.t)
-        before = rows.t[0] - self.dt * np.arange(short, 0, -1)
+        t = np.concatenate([rows.t[0] - self.dt * np.arange(short, 0, -1), rows.t])
 
         def filled(values):
             return np.concatenate([np.repeat(values[:1], short, axis=0), values])
 
-        t = np.concatenate([before, rows.t])
-        here = slice(self.past, self.past + self.steps)
-        begun = self._measured(rows, z) if begun is None else begun
         so_far = np.concatenate([trail, begun.state[None]])
         # What fluids remember is a low-pass of this. Smoothed, it has the noise of what is yet to come in it:
         # in gusts, at 1 Hz, that made a fluid memory of 19 nats that is none in four hours.
-        at = np.clip(np.arange(len(t)) - here.start + len(trail), 0, len(trail))
-        attitude, velocity = so_far[at, 3:7], so_far[at, 7:]
-        dt = jnp.asarray(np.diff(t, append=2 * t[-1] - t[-2])[None])
-        records = Records(
-            t=jnp.asarray(t[None]),
-            dt=dt,
-            hold=dt,
-            commands=jnp.asarray(filled(rows.commands)[None]),
-            wrench=jnp.asarray(filled(rows.wrench)[None]),
-            attitude=jnp.asarray(attitude[None]),
-            velocity=jnp.asarray(velocity[None]),
-            segment=jnp.zeros((1, len(t)), int),
-        )
+        along = so_far[np.clip(np.arange(len(t)) - self.past + len(trail), 0, len(trail))]
         measured = rows.channels[-self.steps - 1 : -1]
         usable = np.isfinite(measured) & np.isin(np.arange(measured.shape[1]), self.channels)
         weight = np.where(usable, 1.0 / np.where(np.isfinite(self.noise), self.noise, 1.0), 0.0)
         pitch = np.where(usable[:, PITCH], measured[:, PITCH], begun.pitch)
         weight[np.ix_(steep(pitch), TURNS)] = 0.0
-        windows = Windows(
-            log=jnp.zeros(1, int),
-            step=jnp.arange(here.start, here.stop)[None],
-            measured=jnp.asarray(np.where(usable, measured, 0.0)[None]),
-            weight=jnp.asarray(weight[None]),
-            position=jnp.asarray(begun.position[None]),
-            attitude=jnp.asarray(begun.attitude[None]),
-            velocity=jnp.asarray(begun.velocity[None]),
-            before=self._before(trail),
+        before = np.array(self.resting)
+        known = trail[-len(before) :]
+        before[len(before) - len(known) :] = known
+        return Seen(
+            t,
+            filled(rows.commands),
+            filled(rows.wrench),
+            along,
+            np.where(usable, measured, 0.0),
+            weight,
+            begun,
+            before,
+            np.array(len(known)),
         )
-        problem = Problem(
-            self.saturated,
-            records,
-            windows,
-            self.start,
-            self.channels,
-            jnp.asarray(split),
-            apart=False,
-            axes=self.vehicle.axes,
-            expected=True,
-        )
-        theta = jnp.asarray((self.layout.neutral + z)[None])
-        affine = dataclasses.replace(self.about_neutral, theta=theta)
-        force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
-        path = Path(jnp.zeros((1, 12)), jnp.asarray(begun.push[None]))
-        window = jax.tree.map(lambda a: np.asarray(a)[0], lines(problem, affine, force, path)[0])
-        residual, end = np.array(window.line.residual), np.array(window.end)
-        residual[..., -1] -= residual[..., :-1] @ z
-        end[..., -1] -= end[..., :-1] @ z
-        return dataclasses.replace(window, line=dataclasses.replace(window.line, residual=residual), end=end)
 
     def _measured(self, rows: Rows, z: Float[np.ndarray, " z"]) -> "Begun":
         """Where a block begins, as measured by sensors at z: its rows and one more are the last."""
@@ -307,13 +294,6 @@ class Bench:
         theta, nu = jnp.asarray(self.layout.neutral + z), jnp.asarray(track.nu[first - around])
         velocity = np.array(_unlogged(self.saturated, theta, jnp.asarray(turn), nu))
         return Begun(track.position[first - around], turn, velocity, np.zeros(len(self.axes) + FLOW))
-
-    def _before(self, trail: Float[np.ndarray, "_ 13"]) -> Before:
-        """What was before a block, as long as sensors may be late."""
-        states = np.array(at_rest(SensorDelay.longest(self.dt)))
-        known = trail[-len(states) :]
-        states[len(states) - len(known) :] = known
-        return Before(jnp.asarray(states[None]), jnp.array([len(known)]))
 
     @property
     def empty(self) -> Windowed:
@@ -353,6 +333,62 @@ class Begun(NamedTuple):
     def pitch(self) -> float:
         """[rad]."""
         return float(angles_of(Rotation.from_quat(self.attitude, scalar_first=True))[1])
+
+
+class Seen(NamedTuple):
+    """What a block is made of.
+
+    - `t` [s], `commands`, `wrench`: of `Bench.past` rows before it, its own, and one more; `along`: where
+      the craft was expected at them.
+    - `measured`, `weight`: as of `Windows`; `before`, `known`: as of `Before`.
+    """
+
+    t: Float[np.ndarray, " rows"]
+    commands: Float[np.ndarray, "rows columns"]
+    wrench: Float[np.ndarray, "rows 6"]
+    along: Float[np.ndarray, "rows 13"]
+    measured: Float[np.ndarray, "steps channels"]
+    weight: Float[np.ndarray, "steps channels"]
+    begun: Begun
+    before: Float[np.ndarray, "late 13"]
+    known: Int[np.ndarray, ""]
+
+
+@compiled
+def _linear(kit, affine: Affine, force: Disturbance, seen: Seen, split) -> Windowed:
+    """A block as a linear system about the parameters of `affine`; `kit`: what a `Bench` has of its craft.
+
+    One program from what is seen on: to hand its parts to JAX one by one took as long as itself.
+    """
+    saturated, start, channels, axes = kit
+    alone: Any = jax.tree.map(lambda a: jnp.asarray(a)[None], seen)
+    (_, steps, _), (_, rows, _) = alone.measured.shape, alone.along.shape
+    dt = jnp.diff(alone.t, append=2 * alone.t[:, -1:] - alone.t[:, -2:-1])
+    records = Records(
+        t=alone.t,
+        dt=dt,
+        hold=dt,
+        commands=alone.commands,
+        wrench=alone.wrench,
+        attitude=alone.along[..., 3:7],
+        velocity=alone.along[..., 7:],
+        segment=jnp.zeros((1, rows), int),
+    )
+    windows = Windows(
+        log=jnp.zeros(1, int),
+        step=jnp.arange(rows - 1 - steps, rows - 1)[None],
+        measured=alone.measured,
+        weight=alone.weight,
+        position=alone.begun.position,
+        attitude=alone.begun.attitude,
+        velocity=alone.begun.velocity,
+        before=Before(alone.before, alone.known),
+    )
+    problem = Problem(
+        saturated, records, windows, start, channels, split, apart=False, axes=axes, expected=True
+    )
+    path = Path(jnp.zeros((1, 12)), alone.begun.push)
+    return jax.tree.map(lambda a: a[0], lines(problem, affine, force, path)[0])
 
 
 def expected(message: Message, force: Disturbance, after: float, z: Float[np.ndarray, " z"]) -> Begun:

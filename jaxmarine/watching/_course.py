@@ -77,6 +77,12 @@ class Course:
         )
         return window, self.rows.part(self.next, end + 1)
 
+    def go_to(self, past: list[Rows], begun: Begun, states: Float[np.ndarray, "blocks steps 13"]) -> None:
+        """To where so many blocks of a stretch end, behind some rows before, where so much is expected."""
+        self.waiting, self.next = past, len(past) - self.bench.steps
+        self.within = len(states) - 1
+        self.go_on(begun, states.reshape(-1, 13))
+
     def go_on(self, begun: Begun, states: Float[np.ndarray, "steps 13"]) -> None:
         """To the next block, where so much is expected, from one with such states."""
         self.begun, self.gap = begun, 0.0

@@ -15,6 +15,8 @@ from ..diagnosis import solve
 
 # A direction of which known ones leave less than this share says nothing of its own.
 OWN = 1e-8
+# Share of a direction's information that is added for what rounding takes away, as in a diagnosis.
+RIDGE = 1e-10
 # Precision that stands for no prior, as in a diagnosis.
 TRACE = 1e-8
 
@@ -109,31 +111,33 @@ class Suspicions:
         """
         parts, h_kk, g_k = self._known(since, members)
         every = np.concatenate(self.columns, axis=1)
-        width = np.array([one.shape[1] for one in self.columns])
-        at = np.cumsum([0, *width])
-        out = np.full((len(self.columns), len(since)), -np.inf)
         factor = np.linalg.inv(h_kk / scale_of(h_kk)) / scale_of(h_kk)
-        taken = {m.suspect for m in members}
+        own, left = [], []
         for b, one in enumerate(since):
             h_kc = np.concatenate([a.T @ since[later(since, d, b)].h for a, d in parts]) @ every
             h_whole = every.T @ one.h @ every
             h = h_whole - h_kc.T @ factor @ h_kc
-            g = every.T @ one.g - h_kc.T @ (factor @ g_k)
-            own, whole = np.diag(h), np.diag(h_whole)
-            tells = own > OWN * whole + 1e-300
-            price = 0.5 * np.log(max(one.seen, 2))
-            alone = np.where(tells, 0.5 * g**2 / np.where(tells, own, 1.0), 0.0)
-            for i in range(len(self.columns)):
-                if i in taken:
-                    continue
-                here = slice(at[i], at[i + 1])
-                if width[i] == 1:
-                    out[i, b] = alone[at[i]] - price
-                else:
-                    good = np.flatnonzero(tells[here]) + at[i]
-                    gain = g[good] @ solve(h[np.ix_(good, good)], g[good]) if len(good) else 0.0
-                    out[i, b] = 0.5 * float(gain) - width[i] * price
+            # What tells nothing of its own takes no part.
+            tells = np.diag(h) > OWN * np.diag(h_whole) + 1e-300
+            own.append(np.where(np.outer(tells, tells), h, np.eye(len(h))))
+            left.append(np.where(tells, every.T @ one.g - h_kc.T @ (factor @ g_k), 0.0))
+        own, left = np.array(own), np.array(left)
+        price = 0.5 * np.log(np.maximum([one.seen for one in since], 2))
+        taken, ends = {m.suspect for m in members}, np.cumsum([one.shape[1] for one in self.columns])
+        out = np.full((len(self.columns), len(since)), -np.inf)
+        for i, (columns, end) in enumerate(zip(self.columns, ends, strict=True)):
+            if i not in taken:
+                here = slice(end - columns.shape[1], end)
+                out[i] = gains(own[:, here, here], left[:, here]) - columns.shape[1] * price
         return out
+
+
+def gains(h: Float[np.ndarray, "some z z"], g: Float[np.ndarray, "some z"]) -> Float[np.ndarray, " some"]:
+    """Nats by which the best z of each makes it likelier than z = 0, columns in any units."""
+    scale = np.sqrt(np.diagonal(h, axis1=1, axis2=2))
+    scaled = h / (scale[:, :, None] * scale[:, None]) + RIDGE * np.eye(h.shape[1])
+    pulled = (g / scale)[..., None]
+    return 0.5 * (pulled * np.linalg.solve(scaled, pulled)).sum(axis=(1, 2))
 
 
 def later(since: Sequence[Sum], a: int, b: int) -> int:

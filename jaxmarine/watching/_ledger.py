@@ -8,6 +8,7 @@ with their age.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,10 +74,31 @@ class Account:
         learned = UNLEARNED * np.eye(count_of(bench.usual))
         return cls(bench.usual, bench.nothing, bench.nothing, 0.0, [zero], said, learned)
 
+    def close(self, columns: list[int]) -> None:
+        """Leaves no trace of columns of z that have not begun."""
+        _, g, h = self.said
+        g[:, columns], h[:, columns], h[:, :, columns] = 0.0, 0.0, 0.0
+        self.message = closed(self.message, columns)
+
     def branched(self) -> "Account":
         minus, g, h = self.said
         said = np.array(minus), np.array(g), np.array(h)
         return dataclasses.replace(self, sums=list(self.sums), said=said)
+
+
+class Opening(NamedTuple):
+    """The first `kept` of a ledger's blocks, filtered for others that go on from there; `blocks`: its own.
+
+    Those who may be it began at one time, mostly, and are told beside one disturbance.
+    """
+
+    kept: int
+    blocks: int
+    account: Account
+
+    def is_of(self, kept: int, blocks: int, force: Disturbance, gates: tuple[Gate, ...]) -> bool:
+        same = self.account.force is force and self.account.gates == gates
+        return same and (self.kept, self.blocks) == (kept, blocks)
 
 
 class Ledger:
@@ -88,6 +110,7 @@ class Ledger:
       nothing; `t`: where the last ends [s].
     - `about`: what blocks are linear about.
     - `accounts`: the first one is beside what is named, and says where the craft is expected.
+    - `opening`: what others last went on from.
     """
 
     def __init__(self, bench: Bench):
@@ -101,21 +124,42 @@ class Ledger:
         self.begun_at, self.counts = np.zeros(most), np.zeros(most, int)
         self.held, self.blocks, self.let_go, self.lost, self.t = 0, 0, 0, 0, -np.inf
         self.about = Acting(((-np.inf, np.zeros(bench.layout.size)),))
+        self.opening: Opening | None = None
 
     def anew(
-        self, known: Float[np.ndarray, " known"], members: Sequence[Member], account: Account
+        self, known: Float[np.ndarray, " known"], members: Sequence[Member], account: Account, kept: int
     ) -> "Ledger":
-        """One that holds no blocks, beside the disturbance of an account; what went before them stays.
+        """One that holds the first `kept` blocks alone, beside the disturbance of an account.
 
-        Its blocks will be linear about members with known numbers, and about the file's own.
+        Those to come will be linear about members with known numbers, and about the file's own. What went
+        before the blocks that are held stays.
         """
         out = Ledger(self.bench)
         filed = np.arange(len(known)) < len(self.suspicions.base)
         out.about = self.suspicions.acting(np.where(filed, 0.0, known), members)
-        out.blocks, out.let_go = self.blocks - self.held, self.let_go
+        out.blocks, out.let_go, out.held = self.blocks - self.held + kept, self.let_go, kept
+        ours = *jax.tree.leaves(self.windows), self.begun_at, self.counts
+        theirs = *jax.tree.leaves(out.windows), out.begun_at, out.counts
+        for new, one in zip(theirs, ours, strict=True):
+            new[:kept] = one[:kept]
         gates = tuple((self._columns(m.suspect), m.since) for m in members if m.since >= self.begun_at[0])
-        out.accounts = [self._blank(account, gates)]
+        before = tuple(gate for gate in gates if kept and gate[1] < self.begun_at[kept])
+        if self.opening is None or not self.opening.is_of(kept, self.blocks, account.force, before):
+            own = self._blank(account, before)
+            out._replay(own)
+            self.opening = Opening(kept, self.blocks, own)
+        own = self.opening.account.branched()
+        own.learned, own.gates = account.learned, gates
+        for columns in (gate[0] for gate in gates if gate not in before):
+            own.close(list(columns))
+        out.accounts = [own]
         return out
+
+    def begun(self) -> Begun:
+        """What is expected where the blocks that are held end."""
+        first, last = self.accounts[0], self.held - 1
+        ends = self.begun_at[last] + float(self.windows.line.dt[last].sum())
+        return expected(first.message, first.force, 0.5 * (ends - self.begun_at[last]), self.about.at(ends))
 
     def _blank(self, account: Account, gates: tuple[Gate, ...]) -> Account:
         """Before the blocks that are held, beside the disturbance of another account."""
@@ -162,15 +206,14 @@ class Ledger:
             said, account.message = passed(account.message, own, account.force, self.bench.spread)
             for kept, new in zip(account.said, said, strict=True):
                 kept[k] = new
-        first = self.accounts[0]
-        half = 0.5 * float(window.line.dt.sum())
-        now = expected(first.message, first.force, half, self.about.at(ends))
+        self.held, self.blocks = k + 1, self.blocks + 1
+        now = self.begun()
         if not all(np.isfinite(one).all() for one in now):
             for account in self.accounts:
                 account.message = nothing_known(account.force, self.bench.layout.size + 1)
-            self.lost += 1
+            self.held, self.blocks, self.lost = k, self.blocks - 1, self.lost + 1
             return None
-        self.held, self.blocks, self.t = k + 1, self.blocks + 1, ends
+        self.t = ends
         return now
 
     def since(self, account: Account) -> list[Sum]:
@@ -293,7 +336,7 @@ class Ledger:
     def _amid(self, with_one: Wider, every: Windowed, found: Estimated) -> tuple[float, Estimated]:
         """What was estimated with a swell or a current beside it, and what it gains so [nats]."""
         bench, (force, _, worth) = self.bench, found
-        wider = with_one(bench.spread, every, force, bench.unit)
+        wider = with_one(bench.spread, every, force, bench.unit, worth)
         if wider is None:
             return -np.inf, found
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(count_of(wider)))
@@ -339,10 +382,7 @@ class Ledger:
         message = account.before
         for columns, since in account.gates:
             if since >= self.begun_at[0]:
-                # What has not begun has left no trace.
-                at = np.array(columns)
-                parts = {"mean": message.mean.at[:, at].set(0.0), "end": message.end.at[:, at].set(0.0)}
-                message = dataclasses.replace(message, **parts)
+                message = closed(message, list(columns))
         for first in (0, CHUNK):
             count = min(max(self.held - first, 0), CHUNK)
             if count:
@@ -388,6 +428,14 @@ class Ledger:
         for kept in (*jax.tree.leaves(self.windows), self.begun_at, self.counts):
             kept[:CHUNK] = kept[CHUNK:]
         self.held, self.let_go = self.held - CHUNK, self.let_go + 1
+
+
+def closed(message: Message, columns: list[int]) -> Message:
+    """Without a trace of columns of z that have not begun."""
+    at = np.array(columns)
+    return dataclasses.replace(
+        message, mean=message.mean.at[:, at].set(0.0), end=message.end.at[:, at].set(0.0)
+    )
 
 
 def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: Sequence[Gate]) -> Windowed:

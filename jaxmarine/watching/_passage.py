@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..effects import ExchangedThrusters
+from ..fitting import GAP
 from ..vehicle import Placed
 from ._blocks import LONG, Bench, Rows
 from ._course import Course
@@ -71,23 +72,48 @@ class Passage:
         return out
 
     def again(
-        self, known: Float[np.ndarray, " known"], members: Sequence[Member], account: Account
+        self,
+        known: Float[np.ndarray, " known"],
+        members: Sequence[Member],
+        account: Account,
+        since: float = -np.inf,
     ) -> "Passage | None":
         """The rows of the blocks that are held told once more, linear about members with known numbers.
 
         Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
         what is expected.
+
+        - `since` [s]: blocks that begin before that stay as they are, as nothing acts otherwise there.
         """
-        out = Passage(self.course.anew(), self.ledger.anew(known, members, account), self.columns)
+        first = int(np.searchsorted(self.ledger.begun_at[: self.ledger.held - 1], since - 1e-9))
+        out = Passage(self.course.anew(), self.ledger.anew(known, members, account, first), self.columns)
         begins = self.ledger.begun_at[0] - (out.course.next + 0.5) * self.bench.dt
+        rows = [(one, set_back) for one, set_back in self.recent if one.t[0] > begins]
+        if first:
+            out._skip(self.ledger, first, rows)
         # Numbers of a craft that runs away overflow before it is seen to.
         with np.errstate(over="ignore", invalid="ignore"):
-            for one, set_back in self.recent:
-                if one.t[0] > begins:
-                    for _ in out.take(one, set_back):
-                        if out.ledger.lost:
-                            return None
+            for one, set_back in rows[len(out.recent) :]:
+                for _ in out.take(one, set_back):
+                    if out.ledger.lost:
+                        return None
         return out
+
+    def _skip(self, told: Ledger, first: int, rows: Sequence[tuple[Rows, bool]]) -> None:
+        """Goes on from a block that was told, behind those that the ledger holds of these rows."""
+        gaps = np.diff([one.t[0] for one, _ in rows], prepend=-np.inf)
+        fresh = np.flatnonzero((gaps > GAP * self.bench.dt) | [set_back for _, set_back in rows])
+        here = next(k for k, (one, _) in enumerate(rows) if one.t[0] > told.begun_at[first] - 1e-9)
+        stretch = int(fresh[fresh <= here].max())
+        if told.windows.gap[first]:
+            self.course.interrupt(float(told.windows.gap[first]))
+            self.recent.extend(rows[:stretch])
+            return
+        within = first - int(np.flatnonzero(np.asarray(told.windows.gap[:first])).max())
+        past = rows[max(stretch, here - self.bench.past) : here]
+        states = np.asarray(told.windows.states[first - within : first])
+        self.course.go_to([one.driven(self.columns) for one, _ in past], self.ledger.begun(), states)
+        self.recent.extend(rows[:here])
 
     def adopt(self, other: "Passage") -> None:
         """Goes on as another one that was told the same rows."""

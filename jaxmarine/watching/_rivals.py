@@ -80,7 +80,8 @@ def rivals(
 class Field:
     """Those that are compared, beside what is named.
 
-    - `members`: what is named. `none`: the rows at hand told about that alone.
+    - `members`: what is named. `none`: the rows at hand told about that alone; before a suspect begins they
+      are told so about that, too.
     """
 
     passage: Passage
@@ -109,7 +110,7 @@ class Field:
         for _, member, account in weighed:
             model = (*self.members, member)
             known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
-            told = tell(self.passage, model, known, account)
+            told = tell(self.none.passage, model, known, account, member.since)
             found = [] if told is None else [self._rival(member, told)]
             for z in starts(layout, member.suspect):
                 found += self._begun(member, [z], first, max([0.0, *(one.nats for one in found)]))
@@ -134,9 +135,9 @@ class Field:
         """
         for z in some:
             known = np.append(self.none.known, z)
-            told = promised(self.passage, (*self.members, member), known, account)
+            told = promised(self.none.passage, (*self.members, member), known, account, member.since)
             if told is not None and possible(told) and self._rival(member, told).nats > least:
-                told = tell(self.passage, told.members, told.known, told.account)
+                told = tell(self.none.passage, told.members, told.known, told.account, member.since)
                 if told is not None:
                     yield self._rival(member, told)
                     return
