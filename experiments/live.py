@@ -10,6 +10,8 @@ Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by st
   as it is a name does more.
 - *Delay*: a thruster that grows weak under way, from hardly to badly.
 - *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
+- *Hours*: nothing hidden, in these and in waves, an hour each, most of them at 1 Hz, watched at three
+  settings of `--false-alarms`.
 - *Pace*: logs of six axes at 50 Hz, drawn by the package itself, with the whole catalogue: nothing hidden,
   and a thruster that grows weak. Seconds of the processor per second of the log, once programs are compiled;
   what first compiles while the thruster is named counts.
@@ -19,6 +21,7 @@ It goes on where it was cut. Writes results.json and results.md.
 """
 
 import json
+import shutil
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -44,8 +47,15 @@ HERE = Path(__file__).parent / "live"
 CRAFT, THRUSTER = "cybership2", "port"
 STEERINGS = ("rich", "pilot")
 DISTURBANCES = ("none", "gusts", "slow", "current")
+WEATHERS = ("none", "gusts", "slow", "waves", "current")
 WORDS = {"rich": "sticks", "pilot": "a pilot"}
-WATERS = {"none": "calm", "gusts": "gusts", "slow": "slow forces", "current": "a current that wanders"}
+WATERS = {
+    "none": "calm",
+    "gusts": "gusts",
+    "slow": "slow forces",
+    "waves": "waves",
+    "current": "a current that wanders",
+}
 # Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
 FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
 # Of logs that are timed: sample time [s], duration [s], when the clock starts [s], and what becomes of a
@@ -53,6 +63,10 @@ FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
 FAST, TIMED, WARM, WEAK = 0.02, 240.0, 120.0, 0.5
 # Of a long log: sample time [s], and its hours.
 SLOW, HOURS = 1.0, 24
+# Of logs of an hour: how often each weather and steering is drawn, and the sample times of 10 in turn [s].
+TIMES, HOUR, EVERY = 10, 3600.0, (0.1, *[1.0] * 9)
+# False names a day that are allowed.
+SETTINGS = (0.01, 1.0, 100.0)
 KINDS = ("position", "attitude", "velocity", "rate")
 Row = dict[str, Any]
 
@@ -147,6 +161,21 @@ def null(folder: Path, duration: float, seed: int, steering: str, disturbance: s
     return {"hours": duration / 3600.0, "named": names_of(watch), "most": max(watch.status.nats.values())}
 
 
+def hour(folder: Path, seconds: float, dt: float, seed: int, steering: str, disturbance: str) -> Row:
+    """What is named of a long log that hides nothing, at each setting: none where the loosest names none."""
+    vehicle, train, _ = opened(folder, [], seed, seconds, steering, disturbance)
+    shutil.rmtree(folder)
+    assert train.commands is not None
+    each = slice(None, None, round(dt / train.dt))
+    sparse = train.t[each], train.channels[each], train.commands[each], None
+    log = Log(*sparse, train.command_names, train.name)
+    named: dict[str, list[Row]] = {}
+    for setting in sorted(SETTINGS, reverse=True):
+        quiet = bool(named) and not list(named.values())[-1]
+        named[f"{setting:g}"] = [] if quiet else names_of(watched(vehicle, log, false_alarms=setting))
+    return {"hours": seconds / 3600.0, "dt": dt, "named": named}
+
+
 def drawn(vehicle: jm.Vehicle, t: np.ndarray, size: np.ndarray, held: float, seed: int) -> Log:
     """A log of a craft in gusts of some size [N, N m], whose commands are held so long [s]."""
     rng = np.random.default_rng(seed)
@@ -210,7 +239,7 @@ def long(hours: float) -> Row:
 
 
 Job = tuple[str, tuple[Any, ...]]
-MEASURED = {"same": same, "delay": delay, "null": null}
+MEASURED = {"same": same, "delay": delay, "null": null, "hour": hour}
 DRAWN = {"pace": pace, "long": long}
 
 
@@ -234,6 +263,11 @@ def planned(quick: bool) -> dict[str, Job]:
             for n in range(1 if water in calm else 5 if water == "current" else 3):
                 seed = 300 + 100 * n + 10 * k + j
                 plan[f"null_{j}{k}{n}"] = "null", (60.0 if quick else DURATION, seed, steering, water)
+    for n in range(1 if quick else TIMES):
+        for k, water in enumerate(WEATHERS[:1] if quick else WEATHERS):
+            for j, steering in enumerate(steerings):
+                by = (60.0 if quick else HOUR), EVERY[n], 1000 + 100 * n + 10 * k + j, steering, water
+                plan[f"hour_{n}{k}{j}"] = "hour", by
     return plan
 
 
@@ -284,7 +318,30 @@ def summary(rows: list[Row]) -> Row:
         if nulls or before:
             hours = sum(one["hours"] for one in nulls) + len(before) * SINCE / 3600.0
             quiet.append({"disturbance": water, "hours": hours, "names": sorted(labels)})
-    return {"same": of("same"), "sizes": sizes, "quiet": quiet, "pace": of("pace"), "long": of("long")}
+    return {
+        "same": of("same"),
+        "sizes": sizes,
+        "quiet": quiet,
+        "settings": [settings_of(of("hour"), water) for water in WEATHERS],
+        "pace": of("pace"),
+        "long": of("long"),
+    }
+
+
+def settings_of(hours: list[Row], water: str) -> Row:
+    """Of long logs in some water: hours, and the names at each setting."""
+    some = [one for one in hours if one["disturbance"] == water]
+    names = {
+        f"{setting:g}": sorted(name["label"] for one in some for name in one["named"][f"{setting:g}"])
+        for setting in SETTINGS
+    }
+    return {"disturbance": water, "hours": sum(one["hours"] for one in some), "names": names}
+
+
+def counted(labels: list[str]) -> str:
+    """How often each was named, the most frequent first."""
+    counts = sorted(Counter(labels).items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{count} `{label}`" for label, count in counts)
 
 
 def compared(answered: float, bending: float, watched: float) -> str:
@@ -313,9 +370,14 @@ def table(found: Row) -> str:
         out.append(f"| {one['factor']:g} | {one['named']} of {one['logs']} | {one['first']} | {delays} |")
     out += ["", "| water | hours watched | false names | which |", "| --- | --- | --- | --- |"]
     for one in found["quiet"]:
-        counts = sorted(Counter(one["names"]).items(), key=lambda item: (-item[1], item[0]))
-        names = ", ".join(f"{count} `{label}`" for label, count in counts)
+        names = counted(one["names"])
         out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {len(one['names'])} | {names} |")
+    said = " | ".join(f"at {setting:g} a day" for setting in SETTINGS)
+    out += ["", f"| water | hours watched | {said} |", "| --- | --- |" + " --- |" * len(SETTINGS)]
+    for one in found["settings"]:
+        if one["hours"]:
+            names = " | ".join(counted(one["names"][f"{setting:g}"]) for setting in SETTINGS)
+            out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {names} |")
     for one in found["pace"]:
         names = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"
         hidden = "nothing hidden" if one["factor"] == 1 else f"a thruster that falls to {one['factor']:g}"

@@ -579,8 +579,11 @@ def test_columns_that_are_exchanged_are_named_and_kept(tmp_path):
 
 @pytest.mark.slow
 def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
-    """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all."""
-    t = np.arange(200) * DT
+    """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all.
+
+    In a minute that is four memories long the steady one is told.
+    """
+    t = np.arange(600) * DT
     drawn = RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=15.0).draw_current(t, 0)
     steady = np.tile([0.1, -0.05, 0.0], (len(t), 1))
     for water, named in ((drawn, ()), (steady, ("steady_current",))):

@@ -8,6 +8,7 @@ from ._filed import Coefficient as Coefficient
 from ._filed import base_coefficients as base_coefficients
 from ._fine import parts_of as parts_of
 from ._fine import strength as strength
+from ._knots import in_phase as in_phase
 from ._plan import Box as Box
 from ._plan import Manoeuvre as Manoeuvre
 from ._plan import plan as plan

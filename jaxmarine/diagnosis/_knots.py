@@ -221,20 +221,18 @@ def wave_start(k: Knots) -> tuple[float, dict[str, float]]:
         step = -solve(own_h - across.T @ inverse @ across, own_g)
         saved = float(-own_g @ step)
         if saved > best[0]:
-            # One phase for both axes: the direction in which (sin, cos) parts are largest.
-            parts = step.reshape(2, 2)
-            _, _, direction = np.linalg.svd(parts)
-            phase = float(np.arctan2(direction[0, 1], direction[0, 0]))
-            size = parts @ direction[0]
-            if not -np.pi / 2 < phase <= np.pi / 2:
-                phase, size = phase - np.copysign(np.pi, phase), -size
-            best = (
-                saved,
-                {
-                    "north": float(size[0]),
-                    "east": float(size[1]),
-                    "period": float(1.0 / frequency),
-                    "phase": phase,
-                },
-            )
+            best = saved, in_phase(step.reshape(2, 2), float(1.0 / frequency))
     return best
+
+
+def in_phase(parts: Float[np.ndarray, "2 2"], period: float) -> dict[str, float]:
+    """Parameters of a wave from what a force to the north and to the east has of sine and cosine of time.
+
+    With one phase for both axes: the direction in which those parts are largest.
+    """
+    _, _, direction = np.linalg.svd(parts)
+    phase = float(np.arctan2(direction[0, 1], direction[0, 0]))
+    size = parts @ direction[0]
+    if not -np.pi / 2 < phase <= np.pi / 2:
+        phase, size = phase - np.copysign(np.pi, phase), -size
+    return {"north": float(size[0]), "east": float(size[1]), "period": period, "phase": phase}

@@ -398,6 +398,18 @@ def expected(message: Message, force: Disturbance, after: float, z: Float[np.nda
     return Begun(state[:3], turn, state[7:], -left)
 
 
+def swell(
+    message: Message, force: Disturbance, z: Float[np.ndarray, " z"]
+) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
+    """Where a block ends, the wrench of a swell that is expected there, and that a quarter of a turn before.
+
+    [N, N m], along its axes; it is cos(wt) of the one and sin(wt) of the other less, a time t later.
+    """
+    count = len(force.axes)
+    states = -np.asarray(message.mean @ jnp.append(jnp.asarray(z), 1.0))[13:]
+    return states[count : 3 * count : 2], states[count + 1 : 3 * count : 2]
+
+
 @compiled
 def _unlogged(saturated: SaturatedPlant, theta: Array, attitude: Array, logged: Array) -> Array:
     return true_velocity(saturated(theta, jnp.array(0)), attitude, logged)

@@ -33,6 +33,12 @@ class Sum(NamedTuple):
     g: Float[np.ndarray, " z"]
     h: Float[np.ndarray, "z z"]
 
+    def without(self, columns: list[int]) -> "Sum":
+        """As if it told nothing of some columns of z."""
+        g, h = self.g.copy(), self.h.copy()
+        g[columns], h[columns], h[:, columns] = 0.0, 0.0, 0.0
+        return self._replace(g=g, h=h)
+
 
 class Member(NamedTuple):
     """A suspect that is part of the model, from a time on [s]; -inf: always."""

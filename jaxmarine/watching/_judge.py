@@ -135,20 +135,34 @@ class Judge:
         ledger = self.ledger
         suspected = self._hopeful()
         waited, since = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
-        if self.nats is None or self.nats.max() < self.bound:
-            if waited >= PATIENCE:
-                self.undecided, self.patience = (), PATIENCE
+        sure, swinging = self.nats is not None and self.nats.max() >= self.bound, self._swinging()
+        if not sure and waited >= PATIENCE:
+            self.undecided, self.patience = (), PATIENCE
+        sure = sure and since >= self.patience
+        if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
-        if 0 < waited < PATIENCE or since < self.patience:
-            return []
-        self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
+        if sure:
+            self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         if waited:
             self._estimate()
             suspected += self._hopeful()
-        return self._decide(list({one.suspect: one for one in suspected}.values()))
+        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
 
-    def _decide(self, hopeful: Sequence[Member]) -> list[str]:
-        """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure."""
+    def _swinging(self) -> bool:
+        """Whether to ask if a swell is a regular wave: of all rows that can be at hand.
+
+        A group of waves is as regular for some periods.
+        """
+        ledger, taken = self.ledger, {one.suspect for one in self.members}
+        suspects = enumerate(ledger.bench.layout.suspects)
+        may = ledger.full and ledger.accounts[0].force.swells
+        return may and any(one.effect.swings and i not in taken for i, one in suspects)
+
+    def _decide(self, hopeful: Sequence[Member], swinging: bool) -> list[str]:
+        """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
+
+        Or if a swell may be a wave.
+        """
         ledger = self.ledger
         first = ledger.accounts[0]
         level = max(ledger.likelihood(a, ledger.since(a), self.members) for a in ledger.accounts)
@@ -163,12 +177,13 @@ class Judge:
         suspects = ledger.bench.layout.suspects
         weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
         weighed.sort(key=lambda one: -one.nats)
-        if not weighed or weighed[0].nats < self.bound:
+        sure = [one for one in weighed if one.nats >= self.bound]
+        if not sure and not swinging:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed, self.bound)
         if not compared:
-            sure = [one for one in weighed if one.nats >= self.bound and self._sound(one)]
+            sure = [one for one in sure if self._sound(one)]
             if sure:
                 return self._cannot_tell((UNSUSPECTED,), sure[0].nats, sure[0].member.since)
         if not compared or compared[0].nats < self.bound:
@@ -177,9 +192,8 @@ class Judge:
         best, least = compared[0], Criteria().close
         close = [one.label for one in compared[1:] if one.compared > best.compared - least]
         for one in weighed:
-            if self.label(one.member.suspect) == best.label:
-                wandering = self._wandering(one.member, one.account, level)
-                close += [WANDERING] if wandering > one.nats - least else []
+            if self.label(one.member.suspect) == best.label and not self._steady(one.member, one.account):
+                close.append(WANDERING)
         if close:
             return self._cannot_tell((best.label, *close), best.nats, best.since)
         return self._name(best)
@@ -223,18 +237,23 @@ class Judge:
         b, best = best_beginning(since, nats + ledger.likelihood(account, since, self.members) - level)
         return best, since[b].t
 
-    def _wandering(self, member: Member, own: Account, level: float) -> float:
-        """Nats of a current that wanders, in the place of a member that is a steady one; -inf of all others.
+    def _steady(self, member: Member, own: Account) -> bool:
+        """Whether a member that is a steady current is as sure beside one that wanders; true of all others.
 
-        Some memories long the two are alike. Its size and memory pay by their prior alone, as such rows tell
-        little of them. `own`: the account of the member; `level`: as of `_worth`.
+        Some memories long the two are alike. By the rows at hand, with the file's coefficients as they are
+        beside the steady one: older rows, judged beside neither, have bent them for want of a current.
+
+        - `own`: the account of the member.
         """
-        ledger = self.ledger
-        if own.force.flows or not ledger.is_current(member.suspect):
-            return -np.inf
+        ledger, model = self.ledger, (*self.members, member)
+        if not ledger.is_current(member.suspect):
+            return True
+        known = ledger.suspicions.estimate(ledger.since(own), model)
+        width = ledger.suspicions.columns[member.suspect].shape[1]
         other = ledger.wandering(own, self.members)
         prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))
-        return ledger.likelihood(other, ledger.since(other), self.members) + prior - level
+        wanders = ledger.at_hand(other, known[: len(known) - width], self.members) + prior
+        return ledger.at_hand(own, known, model) - ledger.price_of(width) - wanders >= self.bound
 
     def _sound(self, one: Weighed) -> bool:
         """Whether a suspect, as estimated beside what is named, can be of a craft, as in a diagnosis.

@@ -152,8 +152,16 @@ class Ledger:
         own.learned, own.gates = account.learned, gates
         for columns in (gate[0] for gate in gates if gate not in before):
             own.close(list(columns))
+        for columns in self._first_swinging(members):
+            own.sums = [one.without(columns) for one in own.sums]
         out.accounts = [own]
         return out
+
+    def _first_swinging(self, members: Sequence[Member]) -> list[list[int]]:
+        """Columns of members that swing and were not told about: sums of another period say nothing."""
+        told, suspects = self.about.at(np.inf), self.bench.layout.suspects
+        columns = (list(self._columns(m.suspect)) for m in members if suspects[m.suspect].effect.swings)
+        return [some for some in columns if not told[some].any()]
 
     def begun(self) -> Begun:
         """What is expected where the blocks that are held end."""
@@ -248,8 +256,12 @@ class Ledger:
         )
 
     def price(self, force: Disturbance) -> float:
-        """What the numbers of a disturbance cost [nats], by all that was measured at hand (Schwarz)."""
-        return 0.5 * count_of(force) * float(np.log(max(self.counts[: self.held].sum(), 2)))
+        """What the numbers of a disturbance cost [nats]."""
+        return self.price_of(count_of(force))
+
+    def price_of(self, numbers: int) -> float:
+        """What so many numbers cost [nats], by all that was measured at hand (Schwarz)."""
+        return 0.5 * numbers * float(np.log(max(self.counts[: self.held].sum(), 2)))
 
     def sound(self, known: Float[np.ndarray, " known"], members: Sequence[Member]) -> bool:
         """Whether members' numbers mean something: in their effects' ranges, and such as a craft can have.
@@ -362,9 +374,10 @@ class Ledger:
     def wandering(self, account: Account, members: Sequence[Member]) -> Account:
         """Beside some members and a current that wanders; from an account beside one that is steady."""
         out = account.branched()
-        out.force = flowing(account.force)
-        out.learned = UNLEARNED * np.eye(count_of(out.force))
-        out.before = account.before.widened(account.force, out.force)
+        if not account.force.flows:
+            out.force = flowing(account.force)
+            out.learned = UNLEARNED * np.eye(count_of(out.force))
+            out.before = account.before.widened(account.force, out.force)
         self.estimate(out, members)
         return out
 

@@ -17,6 +17,7 @@ from ._anew import Told, exchanged, possible, promised, starts, tell
 from ._evidence import Member, place
 from ._ledger import Account, Ledger
 from ._passage import Passage
+from ._swell import waves
 
 # Of what the best has, what another must promise to be told about again [nats].
 HOPEFUL = 0.5
@@ -55,13 +56,16 @@ def rivals(
 ) -> list[Rival]:
     """Suspects beside what is named, by the rows at hand told about each, the likeliest first.
 
-    - `weighed`: those that are likely by their slopes, the best first.
+    - `weighed`: those that are likely by their slopes, the best first; a swell may be a wave without any.
     - `bound` [nats]: from which on one is named.
     """
     field = Field.of(passage, members)
     if field is None:
         return []
-    out = list(field.sloped(weighed))
+    out = list(field.swung())
+    if max((one.nats for one in (*weighed, *out)), default=-np.inf) < HOPEFUL * bound:
+        return out
+    out += field.sloped(weighed)
     if not out:
         return []
     best = max(one.nats for one in out)
@@ -117,9 +121,18 @@ class Field:
             if found:
                 yield self._as_ever(max(found, key=lambda one: one.nats))
 
+    def swung(self) -> Iterator[Rival]:
+        """Suspects that swing, where what disturbs does."""
+        suspects, done = self.ledger.bench.layout.suspects, {one.suspect for one in self.members}
+        for suspect in range(len(suspects)):
+            if suspects[suspect].effect.swings and suspect not in done:
+                # A phase has no beginning.
+                member = Member(suspect, -np.inf)
+                yield from self._begun(member, waves(self.none, suspect), self.none.account, 0.0)
+
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
         """Suspects that were not weighed from a start that promises no less than so much [nats]."""
-        layout, since = self.ledger.bench.layout, weighed[0].member.since
+        layout, since = self.ledger.bench.layout, weighed[0].member.since if weighed else -np.inf
         done = {one.suspect for one in (*self.members, *(one.member for one in weighed))}
         for suspect in range(len(layout.suspects)):
             if suspect not in done:
@@ -129,18 +142,20 @@ class Field:
     def _begun(
         self, member: Member, some: Iterable[Float[np.ndarray, " z"]], account: Account, least: float
     ) -> Iterator[Rival]:
-        """A suspect from the first of some parameters that promises no less than so much [nats].
+        """A suspect from that of some parameters which promises most, if it does no less than so much [nats].
 
         Beside the disturbance of an account.
         """
+        best: Told | None = None
         for z in some:
             known = np.append(self.none.known, z)
             told = promised(self.none.passage, (*self.members, member), known, account, member.since)
             if told is not None and possible(told) and self._rival(member, told).nats > least:
-                told = tell(self.none.passage, told.members, told.known, told.account, member.since)
-                if told is not None:
-                    yield self._rival(member, told)
-                    return
+                best = told if best is None or told.level > best.level else best
+        if best is not None:
+            told = tell(self.none.passage, best.members, best.known, best.account, member.since)
+            if told is not None:
+                yield self._rival(member, told)
 
     def _as_ever(self, rival: Rival) -> Rival:
         """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""
