@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxmarine import InputError
 from jaxmarine._types import CHANNELS
-from jaxmarine.diagnosis import parts_of
+from jaxmarine.diagnosis import parts_of, saturate
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import (
     AddedMass,
@@ -28,18 +29,20 @@ from jaxmarine.effects import (
     Suspect,
     ThrusterGain,
     ThrusterLag,
+    Waves,
     place,
 )
-from jaxmarine.fitting import FLOW, Records, Trail, Windows, count_of, flowing
+from jaxmarine.fitting import FLOW, Disturbance, Message, Records, Trail, Windows, count_of, flowing
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
 from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
 from jaxmarine.watching._blocks import LONG, WINDOW, Begun, Bench
-from jaxmarine.watching._evidence import Member, Sum, Suspicions
+from jaxmarine.watching._evidence import Acting, Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from jaxmarine.watching._page import disturbance_of
+from jaxmarine.watching._swell import SLIPS, in_step, waves
 from tests.boats import NOISE, boat, record, steps
 
 SMALL = (
@@ -428,10 +431,10 @@ def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("after", [7, 9, 12])
+@pytest.mark.parametrize("after", [7.0, 9.0, 12.5])
 def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(broken, after):
-    """Within a stretch, where one begins behind a gap, and later; beside another disturbance."""
-    watch = Watch(boat(), catalogue=SMALL)
+    """Within a stretch, where one begins behind a gap, and between two blocks; beside another disturbance."""
+    watch = Watch(boat(), catalogue=(*SMALL, SensorDelay, InputDelay, FluidMemory))
     rows = list(rows_of(broken))[:110]
     for row in [*rows[:48], *rows[56:]]:
         watch.update(row)
@@ -446,7 +449,7 @@ def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(b
     suspect = next(i for i, one in enumerate(layout.suspects) if one.label == "thruster_gain:port")
     base = len(passage.bench.base)
     none = passage.again(np.zeros(base), (), stronger)
-    since = float(begun_at[after])
+    since = float(np.interp(after, np.arange(15), begun_at[:15]))
     told = np.append(np.zeros(base), -0.4), (Member(suspect, since),)
     whole = passage.again(*told, stronger)
     for _ in range(2):  # anew, and from what was remembered
@@ -457,7 +460,65 @@ def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(b
         for mine, theirs in zip(part.ledger.accounts[0].said, whole.ledger.accounts[0].said, strict=True):
             np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(part.course.begun.state, whole.course.begun.state, rtol=1e-9, atol=1e-9)
-        np.testing.assert_array_equal(part.course.trail.shape, whole.course.trail.shape)
+        np.testing.assert_allclose(part.course.trail, whole.course.trail, rtol=1e-9, atol=1e-9)
+
+
+def test_a_swell_that_keeps_in_step_starts_as_the_wave_that_pushes_so(unchecked):
+    """By the disturbance's own states from a block's end on, which forget nothing here."""
+    rng = np.random.default_rng(4)
+    axes, period, ends = (0, 1, 5), 6.5, 123.4
+    heading = Rotation.from_euler("z", 0.8)
+    parts, frequency = 2 * len(axes), 2 * np.pi / period
+    force = Disturbance(
+        jnp.ones(parts),
+        jnp.full(parts, 1e12),
+        jnp.array([0.0] * 3 + [frequency] * 3),
+        jnp.zeros(1),
+        jnp.zeros(1, bool),
+        axes,
+    )
+    # Along one line, seen from the craft; a yawing moment is no part of a wave.
+    towards = heading.inv().apply([3.0, -1.0, 0.0])
+    states = np.zeros(force.states)
+    states[3:] = np.outer([towards[0], towards[1], 4.0], rng.normal(size=2)).ravel()
+    mean = jnp.zeros((13 + force.states, 2)).at[13:, 1].set(states)
+    message = Message(mean, jnp.zeros((len(mean), len(mean))), jnp.zeros((13, 2)))
+    _, layout = saturate(boat(), (Waves,))
+    ledger = SimpleNamespace(
+        t=ends,
+        begun_at=[ends - 60.0],
+        suspicions=SimpleNamespace(acting=lambda known, members: Acting(((-np.inf, np.zeros(1)),))),
+        bench=SimpleNamespace(layout=layout),
+    )
+    begun = SimpleNamespace(attitude=heading.as_quat(scalar_first=True))
+    passage: Any = SimpleNamespace(course=SimpleNamespace(begun=begun), ledger=ledger)
+    account: Any = SimpleNamespace(force=force, message=message)
+    slots = layout.suspects[0].slots
+    some = waves(passage, account, np.zeros(0), (), 0)
+    found = [dict(zip(slots, z + layout.neutral_of(0), strict=True)) for z in some]
+    assert [60.0 / one["period"] - 60.0 / period for one in found] == pytest.approx(SLIPS)
+    wave = Waves(*(jnp.asarray(found[0][name]) for name in ("north", "east", "period", "phase")))
+    for after in (0.0, 1.3, 4.0):
+        push = -(force.output @ force.after(jnp.asarray(after), jnp.asarray(states)[:, None]))[:3, 0]
+        here: Any = SimpleNamespace(t=ends + after, rotation=jnp.asarray(heading.as_matrix()))
+        np.testing.assert_allclose(wave(here)[:2], push[:2], rtol=1e-9, atol=1e-9)
+
+
+def test_a_wave_that_is_told_hours_later_has_the_phase_that_slopes_led_to():
+    """They are those of sin(2 pi t / period + phase) at the time of the rows."""
+    _, layout = saturate(boat(), (SteadyCurrent, Waves))
+    names = [one.label for one in layout.suspects]
+    suspicions = Suspicions(np.arange(0), np.zeros(0), layout.columns)
+    members = (Member(names.index("steady_current"), -np.inf), Member(names.index("waves"), -np.inf))
+    width, t = layout.columns[members[0].suspect].shape[1], 5 * 3600.0
+    before = np.append(np.full(width, 0.1), [1.0, 2.0, 3.0, 0.4])  # a period of 5 + 3 s
+    slopes = before + np.append(np.zeros(width), [0.5, 0.0, 0.02, 0.1])
+    found = in_step(suspicions, layout, members, before, slopes, t)
+    np.testing.assert_array_equal(found[:-1], slopes[:-1])
+    # By a difference quotient, where the period hardly moves.
+    small = 1e-6
+    turned = 2 * np.pi * t * (1 / (8.0 + small) - 1 / 8.0) / small * 0.02 + 0.1
+    assert 2 * np.pi * t * (1 / 8.02 - 1 / 8.0) + found[-1] - before[-1] == pytest.approx(turned, rel=1e-5)
 
 
 # --- a watch -------------------------------------------------------------------------------------
@@ -598,6 +659,31 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
         for part, true in (("north", 0.1), ("east", -0.05)):
             value, std, _ = watch.named[0].parameters[part]
             assert abs(value - true) < 4 * std
+
+
+@pytest.mark.slow
+def test_a_wave_that_keeps_in_step_is_named_and_a_swell_is_not():
+    """As soon as all rows are at hand that can be, of a boat that hardly turns: a swell is along its axes."""
+    t, commands = np.arange(900) * DT, 0.2 * steps(900)
+    truth = {"north": 12.0, "east": -6.0, "period": 3.0, "phase": 0.7}
+    wave = Placed(place(suspect_named(boat(), "waves", None), boat(), truth), None)
+    swell = np.array([12.0, 6.0, 0.0, 0.0, 0.0, 0.2])
+    push = RandomWrench(np.zeros(6), np.ones(6), swell, 3.0, 6.0).draw(t, 2)
+    regular, irregular = record(boat().place(wave), commands), sailed(commands, 0, push=push)[0]
+    for log, labels in ((regular, ["waves"]), (irregular, [])):
+        watch = Watch(boat(), catalogue=(*SMALL, Waves))
+        for row in rows_of(log):
+            watch.update(row)
+        assert [one.label for one in watch.named] == labels
+        if labels:
+            found = {name: value for name, (value, _, _) in watch.named[0].parameters.items()}
+            assert abs(found["period"] - 3.0) < 4 * watch.named[0].parameters["period"][1]
+            (mine, true) = (
+                np.outer(np.sin(2 * np.pi * t / one["period"] + one["phase"]), [one["north"], one["east"]])
+                for one in (found, truth)
+            )
+            # A tenth of 13 N.
+            np.testing.assert_allclose(mine, true, atol=1.3)
 
 
 def test_a_watch_that_was_killed_goes_on_as_if_it_had_not_been(broken, watched, kept_in):

@@ -54,6 +54,8 @@ CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
+# Stands for the improbability of samples along a path that has run away.
+RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
 CURVED = 1e-10
 # Windows that are filtered side by side: one after another each would wait for single numbers.
@@ -772,7 +774,7 @@ def estimated(
         value, slope = _sloped(logarithms, jnp.asarray(unit), every, spread, force)
         value, slope = float(value), root.T @ np.asarray(slope)
         # Where the path has run away there is nothing to be found.
-        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (1e300, 0 * slope)
+        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (RUN_AWAY, 0 * slope)
 
     # Half the slope's square is what a step is worth.
     how = {"maxiter": STEPS, "gtol": np.sqrt(2 * ENOUGH), "norm": 2}
@@ -782,7 +784,8 @@ def estimated(
     # A line search that fails, as over a likelihood that rounding makes rough, can leave a curvature that is
     # none: no search could begin with it.
     usable = np.isfinite(learned).all() and np.linalg.eigvalsh(best.hess_inv)[0] > CURVED
-    return found, learned if usable else covariance, float(best.fun)
+    worth = float(best.fun) if best.fun < RUN_AWAY else np.inf
+    return found, learned if usable else covariance, worth
 
 
 def with_swell(
@@ -822,7 +825,9 @@ def with_current(
     - `worth`: `improbability` of the disturbance as it is.
     """
     small = dataclasses.replace(force, size=force.size.at[: len(force.axes)].multiply(LEFT))
-    return _likeliest(spread, every, [flowing(small, size) for size in CURRENTS], unit, worth)
+    # A current may be all that disturbs, or come beside what does.
+    others = [flowing(one, size) for one in (small, force) for size in CURRENTS]
+    return _likeliest(spread, every, others, unit, worth)
 
 
 def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:

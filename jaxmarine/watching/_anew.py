@@ -13,6 +13,7 @@ from ..vehicle import Placed
 from ._evidence import Member
 from ._ledger import Account
 from ._passage import Passage
+from ._swell import in_step
 
 # Times at most that rows are told about one model. A parameter that moves by less than its standard error is
 # where its slopes are the same; one that still moves after that is judged where it has come to.
@@ -64,7 +65,7 @@ def tell(
         if told is None:
             return None
         told.passage.ledger.estimate(told.account, told.members)
-        told = estimated(told)
+        told = estimated(told, before)
         members, known, account = told.members, told.known, told.account
         sums, suspicions = told.passage.ledger.since(account), told.passage.ledger.suspicions
         moved = np.abs(known - before) > suspicions.errors(sums, members)
@@ -89,14 +90,15 @@ def promised(
     again = passage.again(known, members, account, since)
     if again is None:
         return None
-    return estimated(Told(again, tuple(members), known, -np.inf))
+    return estimated(Told(again, tuple(members), known, -np.inf), known)
 
 
-def estimated(told: Told) -> Told:
-    """With its members' numbers, and its level, as estimated from its blocks."""
+def estimated(told: Told, before: Float[np.ndarray, " known"]) -> Told:
+    """With its members' numbers, and its level, as estimated from its blocks, which are linear about others."""
     ledger, account, members = told.passage.ledger, told.account, told.members
-    since = ledger.since(account)
+    since, middle = ledger.since(account), 0.5 * (ledger.begun_at[0] + ledger.t)
     known = ledger.suspicions.estimate(since, members)
+    known = in_step(ledger.suspicions, ledger.bench.layout, members, before, known, middle)
     level = ledger.likelihood(account, since, members) - ledger.price(account.force)
     return told._replace(known=known, level=level)
 

@@ -50,7 +50,8 @@ class Judge:
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
     - `asked_at`: that at which rivals were last compared; they are again after `patience` blocks at least,
-      which doubles each time until all is quiet.
+      which doubles each time until all is quiet. `swell_at`, `calm`: likewise of a swell that may be a wave,
+      which need not ever be quiet.
     """
 
     def __init__(self, passage: Passage, false_alarms: float):
@@ -64,6 +65,7 @@ class Judge:
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
         self.estimated_at, self.asked_at, self.patience = -1, -MOST_PATIENT, PATIENCE
+        self.swell_at, self.calm = -MOST_PATIENT, PATIENCE
 
     @property
     def ledger(self) -> Ledger:
@@ -141,27 +143,29 @@ class Judge:
         sure = sure and since >= self.patience
         if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
-        if sure:
-            self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
+        if swinging:
+            self.swell_at, self.calm = ledger.blocks, min(2 * self.calm, MOST_PATIENT)
+        if not sure:
+            return self._decide([])
+        self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         if waited:
             self._estimate()
             suspected += self._hopeful()
-        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
+        return self._decide(list({one.suspect: one for one in suspected}.values()))
 
     def _swinging(self) -> bool:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand.
 
         A group of waves is as regular for some periods.
         """
-        ledger, taken = self.ledger, {one.suspect for one in self.members}
-        suspects = enumerate(ledger.bench.layout.suspects)
-        may = ledger.full and ledger.accounts[0].force.swells
-        return may and any(one.effect.swings and i not in taken for i, one in suspects)
+        ledger = self.ledger
+        due = ledger.full and ledger.blocks - self.swell_at >= self.calm and np.isfinite(self.bound)
+        return bool(due) and ledger.accounts[0].force.swells
 
-    def _decide(self, hopeful: Sequence[Member], swinging: bool) -> list[str]:
+    def _decide(self, hopeful: Sequence[Member]) -> list[str]:
         """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
 
-        Or if a swell may be a wave.
+        Without any, whether a swell is a wave.
         """
         ledger = self.ledger
         first = ledger.accounts[0]
@@ -176,9 +180,11 @@ class Judge:
         # What begins elsewhere has a slope on one side only, which may lead where no craft is.
         suspects = ledger.bench.layout.suspects
         weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
+        # What swings has slopes at a period of its own only.
+        weighed = [one for one in weighed if not suspects[one.member.suspect].effect.swings]
         weighed.sort(key=lambda one: -one.nats)
         sure = [one for one in weighed if one.nats >= self.bound]
-        if not sure and not swinging:
+        if hopeful and not sure:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed, self.bound)
@@ -252,7 +258,9 @@ class Judge:
         width = ledger.suspicions.columns[member.suspect].shape[1]
         other = ledger.wandering(own, self.members)
         prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))
-        wanders = ledger.at_hand(other, known[: len(known) - width], self.members) + prior
+        # These coefficients need not suit what was estimated beside others.
+        some = known[: len(known) - width], ledger.suspicions.estimate(ledger.since(other), self.members)
+        wanders = max(ledger.at_hand(other, one, self.members) for one in some) + prior
         return ledger.at_hand(own, known, model) - ledger.price_of(width) - wanders >= self.bound
 
     def _sound(self, one: Weighed) -> bool:

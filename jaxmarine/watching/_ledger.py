@@ -144,11 +144,14 @@ class Ledger:
             new[:kept] = one[:kept]
         gates = tuple((self._columns(m.suspect), m.since) for m in members if m.since >= self.begun_at[0])
         before = tuple(gate for gate in gates if kept and gate[1] < self.begun_at[kept])
-        if self.opening is None or not self.opening.is_of(kept, self.blocks, account.force, before):
-            own = self._blank(account, before)
-            out._replay(own)
-            self.opening = Opening(kept, self.blocks, own)
-        own = self.opening.account.branched()
+        if not kept:
+            own = self._blank(account, ())
+        elif self.opening is not None and self.opening.is_of(kept, self.blocks, account.force, before):
+            own = self.opening.account.branched()
+        else:
+            out._replay(filtered := self._blank(account, before))
+            self.opening = Opening(kept, self.blocks, filtered)
+            own = filtered.branched()
         own.learned, own.gates = account.learned, gates
         for columns in (gate[0] for gate in gates if gate not in before):
             own.close(list(columns))
@@ -183,6 +186,7 @@ class Ledger:
 
     def forget(self) -> None:
         """What was said before the blocks that are held counts no more."""
+        self.opening = None
         for account in self.accounts:
             account.sums, account.minus_twice = Account.blank(self.bench).sums, 0.0
 
@@ -283,8 +287,8 @@ class Ledger:
         """Estimates the disturbance of the blocks that are held beside a model, and filters them anew.
 
         With a swell and a current beside it once the blocks are likelier so, by the odds of a name, their
-        numbers paid for (Schwarz). A current must be likelier than a steady one, too, by odds at which the
-        two are told apart: what is steady is then named only if the rows are likelier still. Both stay.
+        numbers paid for (Schwarz); with a current unless a steady one is likelier still, by as much. What is
+        steady must then explain what one that wanders does not. Both stay.
         """
         every, found = self._suit(account, members)
         left = [] if account.force.swells else [with_swell]
@@ -296,7 +300,7 @@ class Ledger:
             gained, wider = amid.pop(one)
             if gained < Criteria().nats:
                 break
-            if one is with_current and gained < self._steady(account, members) + Criteria().close:
+            if one is with_current and gained < self._best_steady(account, members) - Criteria().nats:
                 continue
             account.before = account.before.widened(account.force, wider[0])
             self._take(account, wider)
@@ -349,12 +353,12 @@ class Ledger:
         """What was estimated with a swell or a current beside it, and what it gains so [nats]."""
         bench, (force, _, worth) = self.bench, found
         wider = with_one(bench.spread, every, force, bench.unit, worth)
-        if wider is None:
+        if wider is None or not np.isfinite(worth):
             return -np.inf, found
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(count_of(wider)))
         return 0.5 * (worth - amid[2]) - (self.price(wider) - self.price(force)), amid
 
-    def _steady(self, account: Account, members: Sequence[Member]) -> float:
+    def _best_steady(self, account: Account, members: Sequence[Member]) -> float:
         """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
         before, best = self.likelihood(account, self.since(account), members), -np.inf
         taken = {one.suspect for one in members}
@@ -415,7 +419,7 @@ class Ledger:
 
     def release(self, pinned: Sequence[float]) -> None:
         """Lets the older half of the blocks go; their sums stay. `pinned`: beginnings that are kept [s]."""
-        whole = self.bench.whole
+        whole, self.opening = self.bench.whole, None
         for account in self.accounts:
             message = self._filter(account, account.before, 0, CHUNK)
             minus, g, h = account.said

@@ -83,7 +83,8 @@ class Passage:
         Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
         what is expected.
 
-        - `since` [s]: blocks that begin before that stay as they are, as nothing acts otherwise there.
+        - `since` [s]: blocks that begin before that stay as they are, as nothing acts otherwise there. Only
+          where this passage was told again itself.
         """
         first = int(np.searchsorted(self.ledger.begun_at[: self.ledger.held - 1], since - 1e-9))
         out = Passage(self.course.anew(), self.ledger.anew(known, members, account, first), self.columns)
@@ -100,10 +101,15 @@ class Passage:
         return out
 
     def _skip(self, told: Ledger, first: int, rows: Sequence[tuple[Rows, bool]]) -> None:
-        """Goes on from a block that was told, behind those that the ledger holds of these rows."""
+        """Goes on from a block that was told, behind those that the ledger holds of these rows.
+
+        Its first block is the first of a stretch, and none was lost, as in what was told again.
+        """
+        assert told.windows.gap[0] and not told.lost
         gaps = np.diff([one.t[0] for one, _ in rows], prepend=-np.inf)
         fresh = np.flatnonzero((gaps > GAP * self.bench.dt) | [set_back for _, set_back in rows])
-        here = next(k for k, (one, _) in enumerate(rows) if one.t[0] > told.begun_at[first] - 1e-9)
+        # The last one of its time, as a clock that was set back goes on from the time before.
+        here = int(np.searchsorted([one.t[0] for one, _ in rows], told.begun_at[first], side="right")) - 1
         stretch = int(fresh[fresh <= here].max())
         if told.windows.gap[first]:
             self.course.interrupt(float(told.windows.gap[first]))

@@ -17,7 +17,7 @@ from ._anew import Told, exchanged, possible, promised, starts, tell
 from ._evidence import Member, place
 from ._ledger import Account, Ledger
 from ._passage import Passage
-from ._swell import waves
+from ._swell import stilled, waves
 
 # Of what the best has, what another must promise to be told about again [nats].
 HOPEFUL = 0.5
@@ -122,13 +122,17 @@ class Field:
                 yield self._as_ever(max(found, key=lambda one: one.nats))
 
     def swung(self) -> Iterator[Rival]:
-        """Suspects that swing, where what disturbs does."""
+        """Suspects that swing, where what disturbs does, of all rows that can be at hand."""
+        if not self.ledger.full:
+            return
         suspects, done = self.ledger.bench.layout.suspects, {one.suspect for one in self.members}
         for suspect in range(len(suspects)):
             if suspects[suspect].effect.swings and suspect not in done:
                 # A phase has no beginning.
-                member = Member(suspect, -np.inf)
-                yield from self._begun(member, waves(self.none, suspect), self.none.account, 0.0)
+                account, known = self.none.account, self.none.known
+                some = waves(self.none.passage, account, known, self.members, suspect)
+                found = self._begun(Member(suspect, -np.inf), some, account, 0.0)
+                yield from (one for one in found if stilled(account.force, one.told.account.force))
 
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
         """Suspects that were not weighed from a start that promises no less than so much [nats]."""
@@ -146,16 +150,17 @@ class Field:
 
         Beside the disturbance of an account.
         """
-        best: Told | None = None
+        hopeful, members = [], (*self.members, member)
         for z in some:
             known = np.append(self.none.known, z)
-            told = promised(self.none.passage, (*self.members, member), known, account, member.since)
+            told = promised(self.none.passage, members, known, account, member.since)
             if told is not None and possible(told) and self._rival(member, told).nats > least:
-                best = told if best is None or told.level > best.level else best
-        if best is not None:
-            told = tell(self.none.passage, best.members, best.known, best.account, member.since)
+                hopeful.append((told.level, told.known))
+        for _, known in sorted(hopeful, key=lambda one: -one[0]):
+            told = tell(self.none.passage, members, known, account, member.since)
             if told is not None:
                 yield self._rival(member, told)
+                return
 
     def _as_ever(self, rival: Rival) -> Rival:
         """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""

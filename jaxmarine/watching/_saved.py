@@ -31,11 +31,11 @@ from ._watch import Watch
 Place = list[int] | None
 
 # Of what is written: another one when it changes.
-FORMAT = 5
+FORMAT = 6
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
-_JUDGE = ("estimated_at", "asked_at", "patience")
+_JUDGE = ("estimated_at", "asked_at", "patience", "swell_at", "calm")
 
 
 class Kept:
