@@ -28,6 +28,20 @@ def test_what_is_named_before_the_fault_is_false():
     assert (size["named"], size["logs"], size["delays"]) == (1, 2, [12.0])
 
 
+def test_hours_are_summed_up_by_water_and_setting():
+    def hour(water: str, **named: list[str]) -> dict:
+        names = {"0.01": [], "1": [], "100": []} | named
+        labels = {setting: [{"label": label} for label in some] for setting, some in names.items()}
+        return {"kind": "hour", "disturbance": water, "hours": 0.5, "named": labels}
+
+    loose = {"100": ["b", "a", "b"], "1": ["a"]}
+    found = study.summary([hour("none"), hour("waves", **loose), hour("waves")])
+    hours = {one["disturbance"]: one["hours"] for one in found["settings"]}
+    assert hours == {"none": 0.5, "gusts": 0, "slow": 0, "waves": 1.0, "current": 0}
+    table = study.table(found)
+    assert "| calm | 0.50 |  |  |  |" in table and "| waves | 1.00 |  | 1 `a` | 2 `b`, 1 `a` |" in table
+
+
 @pytest.mark.slow
 def test_a_quick_study_names_the_thruster(tmp_path):
     study.main(tmp_path, quick=True)

@@ -94,7 +94,7 @@ def promised(
 
 
 def estimated(told: Told, before: Float[np.ndarray, " known"]) -> Told:
-    """With its members' numbers, and its level, as estimated from its blocks, which are linear about others."""
+    """With its members' numbers, and its level, as estimated from its blocks, linear about those before."""
     ledger, account, members = told.passage.ledger, told.account, told.members
     since, middle = ledger.since(account), 0.5 * (ledger.begun_at[0] + ledger.t)
     known = ledger.suspicions.estimate(since, members)

@@ -44,6 +44,7 @@ def waves(
     towards, across = turn.apply(here[:3])[:2], turn.apply(there[:3])[:2]
     frequency = float(force.frequency[len(force.axes)]) / (2 * np.pi)
     layout, span = ledger.bench.layout, ledger.t - float(ledger.begun_at[0])
+    slots, neutral = layout.suspects[suspect].slots, layout.neutral_of(suspect)
     for turns in SLIPS:
         period = 1 / (frequency + turns / span)
         if period > 0:
@@ -51,9 +52,7 @@ def waves(
             sine = np.sin(angle) * towards - np.cos(angle) * across
             cosine = np.cos(angle) * towards + np.sin(angle) * across
             start = in_phase(np.stack([sine, cosine], axis=1), period)
-            yield np.array([start[name] for name in layout.suspects[suspect].slots]) - layout.neutral_of(
-                suspect
-            )
+            yield np.array([start[name] for name in slots]) - neutral
 
 
 def in_step(
