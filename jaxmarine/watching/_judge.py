@@ -51,7 +51,7 @@ class Judge:
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
     - `asked_at`: that at which rivals were last compared; they are again after `patience` blocks at least,
       which doubles each time until all is quiet. `swell_at`, `calm`: likewise of a swell that may be a wave,
-      which need not ever be quiet.
+      which need not ever be quiet; `in_step`: whether it was one when all rows at hand were last asked.
     """
 
     def __init__(self, passage: Passage, false_alarms: float):
@@ -65,7 +65,7 @@ class Judge:
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
         self.estimated_at, self.asked_at, self.patience = -1, -MOST_PATIENT, PATIENCE
-        self.swell_at, self.calm = -MOST_PATIENT, PATIENCE
+        self.swell_at, self.calm, self.in_step = -MOST_PATIENT, PATIENCE, False
 
     @property
     def ledger(self) -> Ledger:
@@ -146,26 +146,23 @@ class Judge:
         if swinging:
             self.swell_at, self.calm = ledger.blocks, min(2 * self.calm, MOST_PATIENT)
         if not sure:
-            return self._decide([])
+            return self._decide([], swinging)
         self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         if waited:
             self._estimate()
             suspected += self._hopeful()
-        return self._decide(list({one.suspect: one for one in suspected}.values()))
+        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
 
     def _swinging(self) -> bool:
-        """Whether to ask if a swell is a regular wave: of all rows that can be at hand.
-
-        A group of waves is as regular for some periods.
-        """
+        """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
         ledger = self.ledger
         due = ledger.full and ledger.blocks - self.swell_at >= self.calm and np.isfinite(self.bound)
         return bool(due) and ledger.accounts[0].force.swells
 
-    def _decide(self, hopeful: Sequence[Member]) -> list[str]:
+    def _decide(self, hopeful: Sequence[Member], swinging: bool) -> list[str]:
         """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
 
-        Without any, whether a swell is a wave.
+        Or if a swell may be a wave.
         """
         ledger = self.ledger
         first = ledger.accounts[0]
@@ -184,18 +181,20 @@ class Judge:
         weighed = [one for one in weighed if not suspects[one.member.suspect].effect.swings]
         weighed.sort(key=lambda one: -one.nats)
         sure = [one for one in weighed if one.nats >= self.bound]
-        if hopeful and not sure:
+        if not sure and not swinging:
             self.undecided = ()
             return []
-        compared = rivals(self.passage, self.members, weighed, self.bound)
+        compared = rivals(self.passage, self.members, weighed if sure else (), self.bound)
         if not compared:
             sure = [one for one in sure if self._sound(one)]
             if sure:
                 return self._cannot_tell((UNSUSPECTED,), sure[0].nats, sure[0].member.since)
         if not compared or compared[0].nats < self.bound:
-            self.undecided = ()
+            self.undecided, self.in_step = (), False
             return []
         best, least = compared[0], Criteria().close
+        if self._passing(best):
+            return []
         close = [one.label for one in compared[1:] if one.compared > best.compared - least]
         for one in weighed:
             if self.label(one.member.suspect) == best.label and not self._steady(one.member, one.account):
@@ -203,6 +202,13 @@ class Judge:
         if close:
             return self._cannot_tell((best.label, *close), best.nats, best.since)
         return self._name(best)
+
+    def _passing(self, best: Rival) -> bool:
+        """Whether what swings was not in step when rows were last asked: a group of waves is for a while."""
+        suspects = {one.label: one.effect for one in self.ledger.bench.layout.suspects}
+        swings = best.exchanged is None and suspects[best.label].swings
+        before, self.in_step = self.in_step, swings
+        return swings and not before
 
     def _cannot_tell(self, labels: tuple[str, ...], nats: float, since: float) -> list[str]:
         """That something is wrong, unless that was said."""

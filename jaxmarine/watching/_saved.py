@@ -35,7 +35,7 @@ FORMAT = 6
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
-_JUDGE = ("estimated_at", "asked_at", "patience", "swell_at", "calm")
+_JUDGE = ("estimated_at", "asked_at", "patience", "swell_at", "calm", "in_step")
 
 
 class Kept:
