@@ -376,7 +376,7 @@ def table(found: Row) -> str:
     out += ["", f"| water | hours watched | {said} |", "| --- | --- |" + " --- |" * len(SETTINGS)]
     for one in found["settings"]:
         if one["hours"]:
-            names = " | ".join(counted(one["names"][f"{setting:g}"]) for setting in SETTINGS)
+            names = " | ".join(counted(one["names"][f"{setting:g}"]) or "none" for setting in SETTINGS)
             out.append(f"| {WATERS[one['disturbance']]} | {one['hours']:.2f} | {names} |")
     for one in found["pace"]:
         names = ", ".join(f"`{name['label']}`" for name in one["named"]) or "nothing"

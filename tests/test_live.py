@@ -39,7 +39,8 @@ def test_hours_are_summed_up_by_water_and_setting():
     hours = {one["disturbance"]: one["hours"] for one in found["settings"]}
     assert hours == {"none": 0.5, "gusts": 0, "slow": 0, "waves": 1.0, "current": 0}
     table = study.table(found)
-    assert "| calm | 0.50 |  |  |  |" in table and "| waves | 1.00 |  | 1 `a` | 2 `b`, 1 `a` |" in table
+    assert "| calm | 0.50 | none | none | none |" in table
+    assert "| waves | 1.00 | none | 1 `a` | 2 `b`, 1 `a` |" in table
 
 
 @pytest.mark.slow
