@@ -35,6 +35,7 @@ import typer
 import jaxmarine as jm
 from experiments._study import program, study, write_results
 from experiments.blind.cases import make_case
+from experiments.blind.disturbances import KINDS as WEATHERS
 from experiments.blind.plant import Effect
 from jaxmarine._types import CHANNELS
 from jaxmarine.disturbances import RandomWrench
@@ -47,7 +48,6 @@ HERE = Path(__file__).parent / "live"
 CRAFT, THRUSTER = "cybership2", "port"
 STEERINGS = ("rich", "pilot")
 DISTURBANCES = ("none", "gusts", "slow", "current")
-WEATHERS = ("none", "gusts", "slow", "waves", "current")
 WORDS = {"rich": "sticks", "pilot": "a pilot"}
 WATERS = {
     "none": "calm",

@@ -200,6 +200,11 @@ class Bench:
         return SaturatedPlant(self.vehicle, self.families, jnp.ones((1, len(self.vehicle.placed))))
 
     @functools.cached_property
+    def swinging(self) -> tuple[int, ...]:
+        """Suspects that swing."""
+        return tuple(i for i, one in enumerate(self.layout.suspects) if one.effect.swings)
+
+    @functools.cached_property
     def resting(self) -> Float[np.ndarray, "late 13"]:
         """What may be before a block, as long as sensors may be late."""
         return np.asarray(at_rest(SensorDelay.longest(self.dt)))

@@ -157,7 +157,8 @@ class Judge:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
         ledger = self.ledger
         due = ledger.full and ledger.blocks - self.swell_at >= self.calm and np.isfinite(self.bound)
-        return bool(due) and ledger.accounts[0].force.swells
+        unnamed = {*ledger.bench.swinging} - {one.suspect for one in self.members}
+        return bool(due and unnamed) and ledger.accounts[0].force.swells
 
     def _decide(self, hopeful: Sequence[Member], swinging: bool) -> list[str]:
         """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
@@ -178,7 +179,7 @@ class Judge:
         suspects = ledger.bench.layout.suspects
         weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
         # What swings has slopes at a period of its own only.
-        weighed = [one for one in weighed if not suspects[one.member.suspect].effect.swings]
+        weighed = [one for one in weighed if one.member.suspect not in ledger.bench.swinging]
         weighed.sort(key=lambda one: -one.nats)
         sure = [one for one in weighed if one.nats >= self.bound]
         if not sure and not swinging:
@@ -205,8 +206,7 @@ class Judge:
 
     def _passing(self, best: Rival) -> bool:
         """Whether what swings was not in step when rows were last asked: a group of waves is for a while."""
-        suspects = {one.label: one.effect for one in self.ledger.bench.layout.suspects}
-        swings = best.exchanged is None and suspects[best.label].swings
+        swings = not best.exchanged and best.told.members[-1].suspect in self.ledger.bench.swinging
         before, self.in_step = self.in_step, swings
         return swings and not before
 

@@ -162,8 +162,8 @@ class Ledger:
 
     def _first_swinging(self, members: Sequence[Member]) -> list[list[int]]:
         """Columns of members that swing and were not told about: sums of another period say nothing."""
-        told, suspects = self.about.at(np.inf), self.bench.layout.suspects
-        columns = (list(self._columns(m.suspect)) for m in members if suspects[m.suspect].effect.swings)
+        told, swinging = self.about.at(np.inf), self.bench.swinging
+        columns = (list(self._columns(m.suspect)) for m in members if m.suspect in swinging)
         return [some for some in columns if not told[some].any()]
 
     def begun(self) -> Begun:

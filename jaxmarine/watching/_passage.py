@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..effects import ExchangedThrusters
-from ..fitting import GAP
 from ..vehicle import Placed
 from ._blocks import LONG, Bench, Rows
 from ._course import Course
@@ -106,17 +105,15 @@ class Passage:
         Its first block is the first of a stretch, and none was lost, as in what was told again.
         """
         assert told.windows.gap[0] and not told.lost
-        gaps = np.diff([one.t[0] for one, _ in rows], prepend=-np.inf)
-        fresh = np.flatnonzero((gaps > GAP * self.bench.dt) | [set_back for _, set_back in rows])
         # The last one of its time, as a clock that was set back goes on from the time before.
         here = int(np.searchsorted([one.t[0] for one, _ in rows], told.begun_at[first], side="right")) - 1
-        stretch = int(fresh[fresh <= here].max())
         if told.windows.gap[first]:
             self.course.interrupt(float(told.windows.gap[first]))
-            self.recent.extend(rows[:stretch])
+            self.recent.extend(rows[: here - self.course.next])
             return
         within = first - int(np.flatnonzero(np.asarray(told.windows.gap[:first])).max())
-        past = rows[max(stretch, here - self.bench.past) : here]
+        count = min(self.course.next + within * self.bench.steps, self.bench.past)
+        past = rows[max(here - count, 0) : here]
         states = np.asarray(told.windows.states[first - within : first])
         self.course.go_to([one.driven(self.columns) for one, _ in past], self.ledger.begun(), states)
         self.recent.extend(rows[:here])

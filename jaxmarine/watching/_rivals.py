@@ -125,14 +125,12 @@ class Field:
         """Suspects that swing, where what disturbs does, of all rows that can be at hand."""
         if not self.ledger.full:
             return
-        suspects, done = self.ledger.bench.layout.suspects, {one.suspect for one in self.members}
-        for suspect in range(len(suspects)):
-            if suspects[suspect].effect.swings and suspect not in done:
-                # A phase has no beginning.
-                account, known = self.none.account, self.none.known
-                some = waves(self.none.passage, account, known, self.members, suspect)
-                found = self._begun(Member(suspect, -np.inf), some, account, 0.0)
-                yield from (one for one in found if stilled(account.force, one.told.account.force))
+        account, known = self.none.account, self.none.known
+        for suspect in {*self.ledger.bench.swinging} - {one.suspect for one in self.members}:
+            some = waves(self.none.passage, account, known, self.members, suspect)
+            # A phase has no beginning.
+            found = self._begun(Member(suspect, -np.inf), some, account, 0.0)
+            yield from (one for one in found if stilled(account.force, one.told.account.force))
 
     def begun_elsewhere(self, weighed: Sequence[Weighed], least: float) -> Iterator[Rival]:
         """Suspects that were not weighed from a start that promises no less than so much [nats]."""

@@ -46,12 +46,12 @@ def waves(
     layout, span = ledger.bench.layout, ledger.t - float(ledger.begun_at[0])
     slots, neutral = layout.suspects[suspect].slots, layout.neutral_of(suspect)
     for turns in SLIPS:
-        period = 1 / (frequency + turns / span)
-        if period > 0:
-            angle = 2 * np.pi * ledger.t / period
+        now = frequency + turns / span
+        if now > 0:
+            angle = 2 * np.pi * ledger.t * now
             sine = np.sin(angle) * towards - np.cos(angle) * across
             cosine = np.cos(angle) * towards + np.sin(angle) * across
-            start = in_phase(np.stack([sine, cosine], axis=1), period)
+            start = in_phase(np.stack([sine, cosine], axis=1), 1 / now)
             yield np.array([start[name] for name in slots]) - neutral
 
 
