@@ -58,6 +58,9 @@ WATERS = {
 }
 # Factors of a thruster that grows weak at 150 s of a log of 300 s, and of one that always is.
 FACTORS, SINCE, DURATION, SEEN = (0.95, 0.9, 0.8, 0.6, 0.3), 150.0, 300.0, 0.8
+# Logs of each factor and steering, and how much later each begins than the one before [s]: at any time of a
+# window or a block.
+DRAWS, LATER = 6, 0.7
 # Of logs that are timed: sample time [s], duration [s], when the clock starts [s], and what becomes of a
 # thruster in the middle of what is timed.
 FAST, TIMED, WARM, WEAK = 0.02, 240.0, 120.0, 0.5
@@ -138,19 +141,20 @@ def nats_of(label: str, diagnosis: jm.Diagnosis, watched: Mapping[str, float]) -
     return [label, answered, next(weighed, None), watched.get(label)]
 
 
-def delay(folder: Path, factor: float, seed: int, steering: str, disturbance: str) -> Row:
+def delay(folder: Path, factor: float, since: float, seed: int, steering: str, disturbance: str) -> Row:
     """How long after its beginning a weak thruster is named; None: not within the log."""
-    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor}, SINCE)]
+    hidden = [Effect("thruster_gain", THRUSTER, {"factor": factor}, since)]
     vehicle, train, _ = opened(folder, hidden, seed, DURATION, steering, disturbance)
     named = names_of(watched(vehicle, train))
     right = [one for one in named if one["label"] == f"thruster_gain:{THRUSTER}"]
     return {
         "factor": factor,
+        "since": since,
         "named": named,
-        "false": sum(one["at"] < SINCE for one in named),
+        "false": sum(one["at"] < since for one in named),
         "first_right": bool(named) and named[0] in right,
-        "delay": right[0]["at"] - SINCE if right and right[0]["at"] >= SINCE else None,
-        "off": right[0]["since"] - SINCE if right and right[0]["since"] is not None else None,
+        "delay": right[0]["at"] - since if right and right[0]["at"] >= since else None,
+        "off": right[0]["since"] - since if right and right[0]["since"] is not None else None,
     }
 
 
@@ -255,9 +259,11 @@ def planned(quick: bool) -> dict[str, Job]:
         for k, water in enumerate(calm):
             plan[f"same_{j}{k}"] = "same", (SEEN, 100 + 10 * k + j, steering, water)
         for i, factor in enumerate((SEEN,) if quick else FACTORS):
-            # Calm and gusts in turn.
-            water = calm[(i + j) % len(calm)]
-            plan[f"delay_{j}{i}"] = "delay", (factor, 200 + 10 * i + j, steering, water)
+            for n in range(1 if quick else DRAWS):
+                # Calm and gusts in turn.
+                water = calm[(i + j + n) % len(calm)]
+                by = factor, SINCE + LATER * n, 200 + 2000 * n + 10 * i + j, steering, water
+                plan[f"delay_{j}{i}{n}"] = "delay", by
         for k, water in enumerate(calm if quick else DISTURBANCES):
             # Logs of calm water and gusts are watched before a fault as well; a current fools most.
             for n in range(1 if water in calm else 5 if water == "current" else 3):
@@ -314,9 +320,9 @@ def summary(rows: list[Row]) -> Row:
         nulls = [one for one in of("null") if one["disturbance"] == water]
         before = [one for one in of("delay") if one["disturbance"] == water]
         labels = [name["label"] for one in nulls for name in one["named"]]
-        labels += [name["label"] for one in before for name in one["named"] if name["at"] < SINCE]
+        labels += [name["label"] for one in before for name in one["named"] if name["at"] < one["since"]]
         if nulls or before:
-            hours = sum(one["hours"] for one in nulls) + len(before) * SINCE / 3600.0
+            hours = sum(one["hours"] for one in nulls) + sum(one["since"] for one in before) / 3600.0
             quiet.append({"disturbance": water, "hours": hours, "names": sorted(labels)})
     return {
         "same": of("same"),

@@ -23,6 +23,7 @@ from jaxmarine.effects import (
     InputDelay,
     LinearDamping,
     QuadraticDamping,
+    ReverseThrust,
     Saturation,
     SensorDelay,
     SteadyCurrent,
@@ -48,13 +49,15 @@ from tests.boats import NOISE, boat, record, steps
 SMALL = (
     SteadyCurrent,
     ThrusterGain,
+    ReverseThrust,
     Saturation,
     ExchangedThrusters,
     ConstantWrench,
     LinearDamping,
     QuadraticDamping,
 )
-WEAK, SINCE, SAMPLES, DT = 0.6, 20.0, 400, 0.1
+# It grows weak within a window, of which some begin at 20 and 24 s.
+WEAK, SINCE, SAMPLES, DT = 0.6, 21.5, 400, 0.1
 # The row before which a watch is killed: beyond the first snapshot.
 KILLED = 330
 
@@ -78,9 +81,15 @@ def rows_of(log: Log):
 
 @pytest.fixture(scope="module")
 def broken() -> Log:
-    """A boat whose starboard thruster grows weak under way."""
+    """A boat whose starboard thruster grows weak under way, as it begins to go astern.
+
+    From where that window begins it would seem to be weak astern alone.
+    """
     weak = place(suspect_named(boat(), "thruster_gain", "starboard"), boat(), {"factor": WEAK})
-    return record(boat().place(Placed(weak, "starboard", SINCE)), steps(SAMPLES), seed=1)
+    commands, t = steps(SAMPLES), np.arange(SAMPLES) * DT
+    commands[(t >= 18.0) & (t < 30.0), 1] = 0.4
+    commands[(t >= SINCE) & (t < 28.0), 1] = -0.4
+    return record(boat().place(Placed(weak, "starboard", SINCE)), commands, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +142,7 @@ def saved(x, y, precision, first: int, own) -> float:
 
 def test_nats_are_those_of_least_squares_from_every_beginning(unchecked):
     x, y, account, suspects = linear()
-    since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
+    since = since_each(account, range(0, 24, 4), np.arange(24.0), np.full(24, 10))
     assert [one.t for one in since] == [-np.inf, 4.0, 8.0, 12.0, 16.0, 20.0]
     nats = suspects.nats(since, ())
     for b, first in enumerate((0, 4, 8, 12, 16, 20)):
@@ -146,7 +155,7 @@ def test_nats_are_those_of_least_squares_from_every_beginning(unchecked):
 
 def test_a_member_leaves_a_rival_what_it_does_not_explain(unchecked):
     x, y, account, suspects = linear()
-    since = since_each(account, 24, 4, np.arange(24.0), np.full(24, 10))
+    since = since_each(account, range(0, 24, 4), np.arange(24.0), np.full(24, 10))
     beside = suspects.nats(since, (Member(0, 8.0),))
     assert beside[0].max() == -np.inf
     acts = np.repeat(np.arange(24) >= 8, 10)[:, None]
@@ -249,8 +258,10 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         since=lambda account: [
             Sum(t, seen, np.zeros(0), np.zeros((0, 0))) for t, seen in ((-np.inf, 1000), (8.0, 400))
         ],
+        begun_within=lambda t: np.array([t - 1.0, t, t + 1.0]) if t > -np.inf else np.zeros(0),
+        nats_from=lambda account, model, t: (None, [levels.get((t, -0.1), 0.0)]),
     )
-    passage = SimpleNamespace(ledger=ledger)
+    passages = SimpleNamespace(ledger=ledger)
 
     def told(passage, members, known, account, begins):
         since, first = members[-1].since, float(known[-1])
@@ -259,9 +270,11 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         level = levels.get((since, first))
         if level is None:
             return None
-        # What always was goes on beside the disturbance that was told with its beginning.
-        assert account == ("told" if since < weighed else None)
-        return SimpleNamespace(level=level, at_hand=level, members=members, known=known, account=account)
+        # From another beginning it goes on beside the disturbance that was told with the first.
+        assert account == (None if since == weighed else "told")
+        return SimpleNamespace(
+            level=level, at_hand=level, members=members, known=known, account=account, passage=passages
+        )
 
     def promised(*given):
         found = told(*given)
@@ -276,14 +289,14 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
     monkeypatch.setattr(_rivals, "promised", promised)
     monkeypatch.setattr(_rivals, "possible", lambda told: True)
     none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0), passage="none")
-    field: Any = _rivals.Field(passage, (), none)
+    field: Any = _rivals.Field(passages, (), none)
     member = Member(0, weighed)
     return next(field.sloped([_rivals.Weighed(30.0, member, None)]), None)
 
 
 ALWAYS = -np.inf
 # Of a parameter by the numbers measured since, 3.45 and 3.0 nats.
-PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0)}
+PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0), 9.0: 0.5 * np.log(400.0)}
 
 
 @pytest.mark.parametrize(
@@ -297,6 +310,9 @@ PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0)}
         (ALWAYS, {(ALWAYS, -0.1): 20.0, (ALWAYS, 0.15): 260.0}, ALWAYS, 260.0),
         (ALWAYS, {(ALWAYS, -0.1): 260.0, (ALWAYS, 0.15): 20.0}, ALWAYS, 260.0),
         (8.0, {(8.0, 0.15): 260.0, (ALWAYS, 0.15): 259.0}, ALWAYS, 259.0),
+        # Blocks that are linear about it tell when it began.
+        (8.0, {(7.0, -0.1): 50.0, (8.0, -0.1): 60.0, (9.0, -0.1): 70.0}, 9.0, 70.0),
+        (8.0, {(7.0, -0.1): 50.0, (8.0, -0.1): 60.0, (9.0, -0.1): 55.0}, 8.0, 60.0),
     ],
 )
 def test_a_suspect_is_told_from_where_it_may_be(unchecked, monkeypatch, weighed, levels, since, level):
@@ -431,6 +447,34 @@ def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
 
 
+def test_who_begins_within_a_window_is_in_nothing_before(begun):
+    """As blocks tell it that were without a trace of any suspect before, one after the other."""
+    ledger = begun.parts.passage.ledger
+    bench, first = ledger.bench, ledger.bench.whole + 3
+    begins = float(ledger.begun_at[first])
+    near = ledger.begun_at[first - bench.whole + 1 : first + bench.whole]
+    np.testing.assert_array_equal(ledger.begun_within(begins), near)
+    filed = [one.index for one in bench.base]
+    after = _ledger.Ledger(bench)
+    for k in range(ledger.held):
+        window = jax.tree.map(lambda a, k=k: a[k], ledger.windows)
+        if k < first:
+            acts = np.zeros(window.end.shape[-1])
+            acts[[*filed, -1]] = 1.0
+            line = dataclasses.replace(window.line, residual=window.line.residual * acts)
+            window = dataclasses.replace(window, line=line, end=window.end * acts)
+        ends = float(ledger.begun_at[k] + bench.steps * bench.dt)
+        assert after.add(window, float(ledger.begun_at[k]), ends, int(ledger.counts[k])) is not None
+    account = after.accounts[0]
+    since = since_each(account, [0, first], after.begun_at[: after.held], after.counts)
+    told, nats = ledger.nats_from(ledger.accounts[0], (), begins)
+    assert (told.t, told.seen) == (begins, since[1].seen)
+    # To what rounding leaves of a hundred nats.
+    np.testing.assert_allclose(nats, after.suspicions.nats(since, ())[:, 1], rtol=1e-7, atol=1e-7)
+    windows = ledger.nats(ledger.accounts[0], ledger.since(ledger.accounts[0]), ())
+    assert np.abs(windows[:, 1:3].max(axis=1) - nats).max() > 1.0
+
+
 @pytest.mark.parametrize("after", [7.0, 9.0, 12.5])
 def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(broken, after):
     """Within a stretch, where one begins behind a gap, and between two blocks; beside another disturbance."""
@@ -537,8 +581,8 @@ def test_a_thruster_that_grows_weak_is_named_with_its_time(watched):
     (name,) = watch.named
     value, std, _ = name.parameters["factor"]
     assert name.label == "thruster_gain:starboard" and SINCE < name.at < SINCE + 20.0
-    # Beginnings lie a window apart.
-    assert name.since is not None and abs(name.since - SINCE) <= 4.0
+    # It began with a block.
+    assert name.since == pytest.approx(SINCE)
     assert abs(value - WEAK) < 4 * std + 0.02
     assert any("thruster_gain:starboard, since t =" in said for said in told)
     gain = watch.extended.plant().drive.gain

@@ -49,8 +49,8 @@ class Judge:
     - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
-    - `asked_at`: that at which rivals were last compared; they are again after `patience` blocks at least,
-      which doubles each time until all is quiet. `swell_at`, `calm`: likewise of a swell that may be a wave,
+    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats; they are again once there
+      are twice as many, or after `patience` blocks, which doubles each time until all is quiet. `swell_at`, `calm`: likewise of a swell that may be a wave,
       which need not ever be quiet; `in_step`: whether it was one when all rows at hand were last asked.
     """
 
@@ -65,6 +65,7 @@ class Judge:
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
         self.estimated_at, self.asked_at, self.patience = -1, -MOST_PATIENT, PATIENCE
+        self.asked_with = 0.0
         self.swell_at, self.calm, self.in_step = -MOST_PATIENT, PATIENCE, False
 
     @property
@@ -107,14 +108,33 @@ class Judge:
 
     def _weigh(self) -> tuple[list[Sum], np.ndarray]:
         """Nats of every suspect and beginning, each beside the disturbance that suits it best."""
+        ledger, levels = self.ledger, self._levels()
+        every = [ledger.since(one) for one in ledger.accounts]
+        tables = [
+            ledger.nats(account, since, self.members) + level
+            for account, since, level in zip(ledger.accounts, every, levels, strict=True)
+        ]
+        return every[0], np.max(tables, axis=0) - max(levels)
+
+    def _levels(self) -> list[float]:
+        """Logarithms of the likelihood of none, beside each disturbance."""
         ledger = self.ledger
-        tables, levels = [], []
-        for account in ledger.accounts:
-            since = ledger.since(account)
-            level = ledger.likelihood(account, since, self.members)
-            tables.append(ledger.nats(account, since, self.members) + level)
-            levels.append(level)
-        return ledger.since(ledger.accounts[0]), np.max(tables, axis=0) - max(levels)
+        return [ledger.likelihood(one, ledger.since(one), self.members) for one in ledger.accounts]
+
+    def _closely(self) -> list[Member]:
+        """The best suspects, each with its beginning to the block.
+
+        Who began within a window resembles another who hardly acts between its beginning and that.
+        """
+        ledger, levels = self.ledger, self._levels()
+        since, table = self._weigh()
+        times = {float(t) for one in hopeful(since, table) for t in ledger.begun_within(one.since)}
+        for t in sorted(times):
+            told = [ledger.nats_from(one, self.members, t) for one in ledger.accounts]
+            nats = [nats + level for (_, nats), level in zip(told, levels, strict=True)]
+            since.append(told[0][0])
+            table = np.append(table, np.max(nats, axis=0)[:, None] - max(levels), axis=1)
+        return hopeful(since, table)
 
     def _leading(self) -> Member | None:
         since, table = self._weigh()
@@ -122,25 +142,19 @@ class Judge:
         b, nats = best_beginning(since, table[i])
         return Member(i, since[b].t) if nats > LEADS else None
 
-    def _hopeful(self) -> list[Member]:
-        """The best suspects, each with its beginning."""
-        since, table = self._weigh()
-        best = self.nats = table.max(axis=1)
-        order = np.argsort(-best)[:RIVALS]
-        some = [int(i) for i in order if best[i] > max(HOPEFUL * best[order[0]], LEADS)]
-        return [Member(i, since[best_beginning(since, table[i])[0]].t) for i in some]
-
     # --- naming ----------------------------------------------------------------------------------
 
     def _look(self) -> list[str]:
         """Weighs all suspects, and names one that is sure."""
         ledger = self.ledger
-        suspected = self._hopeful()
+        self.nats = self._weigh()[1].max(axis=1)
         waited, since = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
-        sure, swinging = self.nats is not None and self.nats.max() >= self.bound, self._swinging()
+        sure, swinging = self.nats.max() >= self.bound, self._swinging()
         if not sure and waited >= PATIENCE:
             self.undecided, self.patience = (), PATIENCE
-        sure = sure and since >= self.patience
+        # Rows that tell twice as much may tell two apart.
+        told_more = since >= PATIENCE and self.nats.max() >= 2 * self.asked_with
+        sure = sure and (since >= self.patience or told_more)
         if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
         if swinging:
@@ -148,10 +162,12 @@ class Judge:
         if not sure:
             return self._decide([], swinging)
         self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
+        self.asked_with = float(self.nats.max())
+        before = hopeful(*self._weigh()) if waited else []
         if waited:
             self._estimate()
-            suspected += self._hopeful()
-        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
+        suspected = {one.suspect: one for one in (*before, *self._closely())}
+        return self._decide(list(suspected.values()), swinging)
 
     def _swinging(self) -> bool:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
@@ -291,6 +307,14 @@ class Judge:
         return {
             name: (value, float(s), units[name]) for (name, value), s in zip(values.items(), std, strict=True)
         }
+
+
+def hopeful(since: Sequence[Sum], nats: np.ndarray) -> list[Member]:
+    """Of all suspects from every beginning the best, each with its beginning."""
+    best = nats.max(axis=1)
+    order = np.argsort(-best)[:RIVALS]
+    some = [int(i) for i in order if best[i] > max(HOPEFUL * best[order[0]], LEADS)]
+    return [Member(i, since[best_beginning(since, nats[i])[0]].t) for i in some]
 
 
 def best_beginning(since: Sequence[Sum], nats: np.ndarray) -> tuple[int, float]:

@@ -7,6 +7,7 @@ with their age.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ from ..fitting import (
     with_swell,
 )
 from ._blocks import LONG, Begun, Bench, expected, passed, replayed
-from ._evidence import Acting, Member, Sum, Suspicions
+from ._evidence import Acting, Member, Sum, Suspicions, place
 
 # Blocks that are let go at once; twice as many are held at most.
 CHUNK = 80
@@ -229,7 +230,15 @@ class Ledger:
         return now
 
     def since(self, account: Account) -> list[Sum]:
-        return since_each(account, self.held, self.bench.whole, self.begun_at, self.counts)
+        """What was said from each beginning on: a window apart, and from where something acts."""
+        gates = [t for one in (account, *self.accounts) for _, t in one.gates]
+        first = self._beginnings(self.held, gates)
+        return since_each(account, first, self.begun_at[: self.held], self.counts)
+
+    def _beginnings(self, held: int, pinned: Sequence[float]) -> list[int]:
+        """Of so many blocks those that begin a window, and those that begin at some times [s]."""
+        at = np.isin(self.begun_at[:held], pinned)
+        return sorted({*range(0, held, self.bench.whole), *np.flatnonzero(at).tolist()})
 
     def nats(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
         """Nats beside what is named; what only acts from a time on in an account cannot have begun before."""
@@ -240,6 +249,26 @@ class Ledger:
                 if {*columns} & {*self._columns(i)}:
                     nats[i, begun < gate - 1e-9] = -np.inf
         return nats
+
+    def begun_within(self, t: float) -> Float[np.ndarray, " times"]:
+        """Where blocks begin that are held, less than a window from a time [s]."""
+        begun = self.begun_at[: self.held]
+        return begun[np.abs(begun - t) < self.bench.length - 1e-9]
+
+    def nats_from(self, account: Account, members: Sequence[Member], t: float) -> tuple[Sum, np.ndarray]:
+        """What was said from a block on, and nats of every suspect that begins with it.
+
+        Windows apart, a state is known from no suspect. Within one it is where a suspect would have taken it
+        that had acted before, so blocks are filtered without a trace of one.
+        """
+        own, filed = account.branched(), {*self.suspicions.base.tolist()}
+        unnamed = {*range(len(self.suspicions.columns))} - {one.suspect for one in members}
+        begins = {column for i in unnamed for column in self._columns(i)} - filed
+        own.gates = (*self._gates(account, members), (tuple(sorted(begins)), t))
+        self._replay(own)
+        since = self.since(own)
+        b = place(since, t)
+        return since[b], self.nats(own, since, members)[:, b]
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
@@ -419,12 +448,12 @@ class Ledger:
 
     def release(self, pinned: Sequence[float]) -> None:
         """Lets the older half of the blocks go; their sums stay. `pinned`: beginnings that are kept [s]."""
-        whole, self.opening = self.bench.whole, None
+        self.opening = None
         for account in self.accounts:
             message = self._filter(account, account.before, 0, CHUNK)
             minus, g, h = account.said
-            for k in range(0, CHUNK, whole):
-                here = slice(k, min(k + whole, CHUNK))
+            for k, after in itertools.pairwise([*self._beginnings(CHUNK, pinned), CHUNK]):
+                here = slice(k, after)
                 last = account.sums[-1]
                 # The last sum is all so far; at its time the next beginning lies.
                 account.sums[-1] = last._replace(t=float(self.begun_at[k]))
@@ -465,16 +494,16 @@ def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: S
     return blocks
 
 
-def since_each(account: Account, held: int, every: int, begun, counts) -> list[Sum]:
-    """From always, then from each beginning that is kept, and from every so many of the blocks held.
+def since_each(account: Account, first: Sequence[int], begun, counts) -> list[Sum]:
+    """From always, then from each beginning that is kept, and from some of the blocks held, the first too.
 
     - `begun` [s], `counts`: where each held block begins, and the measured numbers in it.
     """
     _, g, h = account.said
     last = account.sums[-1]
     out = [Sum(np.inf, 0, np.zeros_like(last.g), np.zeros_like(last.h))]
-    for k in reversed(range(0, held, every)):
-        here, later = slice(k, min(k + every, held)), out[-1]
+    for k, after in reversed([*itertools.pairwise([*first, len(begun)])]):
+        here, later = slice(k, after), out[-1]
         seen = later.seen + int(counts[here].sum())
         out.append(Sum(float(begun[k]), seen, later.g + g[here].sum(axis=0), later.h + h[here].sum(axis=0)))
     now = out[-1]

@@ -107,8 +107,9 @@ class Field:
     def sloped(self, weighed: Sequence[Weighed]) -> Iterator[Rival]:
         """Those that were weighed, from where their slopes lead, and from elsewhere if that is better.
 
-        A delay or a lag that is none has a slope on one side only, which may point to the other. What seems
-        to begin soon after the first row may always have been there.
+        A delay or a lag that is none has a slope on one side only, which may point to the other. Slopes of
+        what is far from the file tell badly when it began, and what seems to have begun soon after the first
+        row may always have been there.
         """
         layout, first = self.ledger.bench.layout, self.ledger.accounts[0]
         for _, member, account in weighed:
@@ -119,7 +120,7 @@ class Field:
             for z in starts(layout, member.suspect):
                 found += self._begun(member, [z], first, max([0.0, *(one.nats for one in found)]))
             if found:
-                yield self._as_ever(max(found, key=lambda one: one.nats))
+                yield self._as_ever(self._as_begun(max(found, key=lambda one: one.nats)))
 
     def swung(self) -> Iterator[Rival]:
         """Suspects that swing, where what disturbs does, of all rows that can be at hand."""
@@ -159,6 +160,28 @@ class Field:
             if told is not None:
                 yield self._rival(member, told)
                 return
+
+    def _as_begun(self, rival: Rival) -> Rival:
+        """A suspect from the block on, less than a window from its beginning, that suits it best.
+
+        By blocks that are linear about it all the while; then told again from there.
+        """
+        times = self.ledger.begun_within(rival.since).tolist()
+        if not times:
+            return rival
+        *model, member = rival.told.members
+        longer = (*model, member._replace(since=times[0]))
+        told = promised(self.none.passage, longer, rival.told.known, rival.told.account, times[0])
+        if told is None:
+            return rival
+        ledger, account = told.passage.ledger, told.account
+        best = max(times, key=lambda t: ledger.nats_from(account, model, t)[1][member.suspect])
+        begun = member._replace(since=best)
+        if begun == member:
+            return rival
+        z = self.ledger.suspicions.parts_of(rival.told.known, rival.told.members)[-1]
+        found = self._begun(begun, [z], rival.told.account, rival.compared)
+        return max([rival, *found], key=lambda one: one.compared)
 
     def _as_ever(self, rival: Rival) -> Rival:
         """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""

@@ -31,11 +31,11 @@ from ._watch import Watch
 Place = list[int] | None
 
 # Of what is written: another one when it changes.
-FORMAT = 6
+FORMAT = 7
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
-_JUDGE = ("estimated_at", "asked_at", "patience", "swell_at", "calm", "in_step")
+_JUDGE = ("estimated_at", "asked_at", "asked_with", "patience", "swell_at", "calm", "in_step")
 
 
 class Kept:
