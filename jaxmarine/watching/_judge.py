@@ -49,9 +49,10 @@ class Judge:
     - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
-    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats; they are again once there
-      are twice as many, or after `patience` blocks, which doubles each time until all is quiet. `swell_at`, `calm`: likewise of a swell that may be a wave,
-      which need not ever be quiet; `in_step`: whether it was one when all rows at hand were last asked.
+    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats; they are again once
+      there are twice as many, or after `patience` blocks, which doubles each time until all is quiet.
+    - `swell_at`, `calm`: likewise of a swell that may be a wave, which need not ever be quiet; `in_step`:
+      whether it was one when all rows at hand were last asked.
     """
 
     def __init__(self, passage: Passage, false_alarms: float):
