@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from ..actuators import AbstractActuators
 from ..effects import ConstantWrench, CoupledDamping, FluidMemory, LinearDamping, QuadraticDamping
 from ..vehicle import Vehicle
 from . import _lost
@@ -80,11 +81,11 @@ class Plain:
         )
 
 
-def lost(vehicle: Vehicle) -> tuple[str, ...]:
-    """What a vehicle has beside those numbers."""
+def lost(vehicle: Vehicle, held: tuple[type[AbstractActuators], ...] = ()) -> tuple[str, ...]:
+    """What a vehicle has beside those numbers, and beside actuators that are `held` otherwise."""
     plant = vehicle.plant()
     out = [*_lost.always(vehicle), *_lost.masses(vehicle), *_lost.memory(vehicle)]
-    for one in vehicle.actuators:
+    for one in (one for one in vehicle.actuators if not isinstance(one, held)):
         out.append(f"{one.title} are left out: {', '.join(one.names)}.")
     others = [e.name for e in plant.wrenches if not isinstance(e, (*_PLAIN, FluidMemory))]
     if others:

@@ -1,8 +1,8 @@
-"""Gazebo SDF: a world with water and the vehicle, by the plug-ins Hydrodynamics, Buoyancy and Thruster.
+"""Gazebo SDF: a world with the vehicle, by the plug-ins Hydrodynamics, Buoyancy, Thruster and LiftDrag.
 
 Axes are forward-left-up. Damping stands in the plug-in with negative signs, added mass once, as
 `<fluid_added_mass>` (positive, about the link's origin), so that the plug-in's own is turned off. A thruster
-is told its thrust [N].
+is told its thrust [N], a surface its deflection [rad].
 """
 
 import itertools
@@ -12,17 +12,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from .._errors import InputError
 from .._files import written_whole
 from .._types import DOFS
+from ..actuators import FREE, Surfaces
 from ..vehicle import Vehicle
 from . import _lost, _plain
 
 NEEDS = ()
 _FLIP = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
 _FORCES, _VELOCITIES, _ADDED = "xyzkmn", "UVWPQR", "xyzpqr"
-# Of what turns in a thruster, which Gazebo wants to be a body [kg, kg m²]: too light to be felt.
+# Of what turns in a thruster or with a surface, which Gazebo wants to be a body [kg, kg m²]: too light to be
+# felt.
 _ROTOR = (1e-3, 1e-6)
 
 
@@ -35,11 +38,15 @@ def lost(vehicle: Vehicle) -> tuple[str, ...]:
             f"{', '.join(locked)}; export it as `mujoco` or `fmi3`."
         )
     plain = _plain.Plain.of(vehicle)
-    out = [*_plain.lost(vehicle), *_lost.lag(vehicle)]
+    out = [*_plain.lost(vehicle, held=(Surfaces,)), *_lost.lag(vehicle)]
     if vehicle.thruster_names:
         out.append("Thrusters are told their thrust in N; the curve from command to thrust is yours.")
+    surfaces = _surfaces(vehicle)
+    out += (sentence for one in surfaces for sentence in _beyond_lift(one))
     if np.any(plain.current):
         out.append("The current drags the hull, but the added mass is that of still water.")
+    if np.any(plain.current) and surfaces:
+        out.append("Surfaces see no current.")
     if np.any(plain.wrench):
         out.append("The constant wrench is left out.")
     out.append("The hull collides as a ball of its displaced volume; give it its shape.")
@@ -66,6 +73,9 @@ def write(vehicle: Vehicle, path: Path, notes: Sequence[str]) -> None:
     _water(_plugin(model, "hydrodynamics", "Hydrodynamics"), plain)
     for i, name in enumerate(vehicle.thruster_names):
         _thruster(model, vehicle, plain, i, name)
+    for surfaces in _surfaces(vehicle):
+        for i, name in enumerate(surfaces.names):
+            _surface(model, surfaces, i, name, density)
     ET.indent(root)
     with written_whole(path) as beside:
         beside.write_text(
@@ -119,19 +129,8 @@ def _water(plugin: ET.Element, plain: _plain.Plain) -> None:
 
 def _thruster(model: ET.Element, vehicle: Vehicle, plain: _plain.Plain, i: int, name: str) -> None:
     """A light link that turns about the direction of the thrust, and the plug-in that pushes it."""
-    position = _FLIP[:3] * np.asarray(vehicle.thrusters.position[i])
-    direction = _FLIP[:3] * plain.allocation[:3, i]
-    link = ET.SubElement(model, "link", name=f"{name}_rotor")
-    _put(link, "pose", (*position, 0.0, 0.0, 0.0))
-    inertial = ET.SubElement(link, "inertial")
-    _put(inertial, "mass", _ROTOR[0])
-    moments = ET.SubElement(inertial, "inertia")
-    for axis in "xyz":
-        _put(moments, f"i{axis}{axis}", _ROTOR[1])
-    joint = ET.SubElement(model, "joint", name=f"{name}_joint", type="revolute")
-    _put(joint, "parent", "base_link")
-    _put(joint, "child", f"{name}_rotor")
-    _put(ET.SubElement(joint, "axis"), "xyz", direction)
+    position = np.asarray(vehicle.thrusters.position[i])
+    _turning(model, f"{name}_rotor", f"{name}_joint", position, plain.allocation[:3, i])
     plugin = _plugin(model, "thruster", "Thruster")
     _put(plugin, "namespace", vehicle.name)
     _put(plugin, "joint_name", f"{name}_joint")
@@ -143,10 +142,104 @@ def _thruster(model: ET.Element, vehicle: Vehicle, plain: _plain.Plain, i: int, 
     _put(plugin, "min_thrust_cmd", -plain.saturation[i] * plain.max_thrust_reverse[i])
 
 
+def _turning(
+    model: ET.Element,
+    link_name: str,
+    joint_name: str,
+    position: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+) -> ET.Element:
+    """A light link on the hull that turns about an axis, both in the vehicle's axes; the joint's `axis`."""
+    link = ET.SubElement(model, "link", name=link_name)
+    _put(link, "pose", (*(_FLIP[:3] * position), 0.0, 0.0, 0.0))
+    inertial = ET.SubElement(link, "inertial")
+    _put(inertial, "mass", _ROTOR[0])
+    moments = ET.SubElement(inertial, "inertia")
+    for one in "xyz":
+        _put(moments, f"i{one}{one}", _ROTOR[1])
+    joint = ET.SubElement(model, "joint", name=joint_name, type="revolute")
+    _put(joint, "parent", "base_link")
+    _put(joint, "child", link_name)
+    about = ET.SubElement(joint, "axis")
+    _put(about, "xyz", _FLIP[:3] * axis)
+    return about
+
+
+# --- control surfaces ----------------------------------------------------------------------------
+
+
+def _surfaces(vehicle: Vehicle) -> list[Surfaces]:
+    """All of them, or none, with what effects make of them."""
+    return [one for one in vehicle.plant().actuators if isinstance(one, Surfaces)]
+
+
+def _seen(surfaces: Surfaces, i: int) -> float:
+    """Share of the flow across that a surface sees: the mean of those to port and to starboard."""
+    return float(np.mean(np.asarray(surfaces.straightening[i])))
+
+
+def _held_at(surfaces: Surfaces, i: int) -> float:
+    """The deflection that is no command's [rad]: an offset, or where it is stuck."""
+    stuck = float(surfaces.stuck[i])
+    return stuck if abs(stuck) < FREE else float(surfaces.offset[i])
+
+
+def _beyond_lift(surfaces: Surfaces) -> list[str]:
+    """What surfaces have that the plug-in has not."""
+    out = [
+        "Control surfaces lift by LiftDrag in proportion to deflection and angle of the flow, without drag, "
+        "as they do at small angles."
+    ]
+    if any(behind is not None for behind in surfaces.behind):
+        out.append("Surfaces see the flow of the vehicle's own motion, not a propeller's stream.")
+    own = np.asarray(surfaces.position)[:, 0]
+    unequal = np.ptp(np.asarray(surfaces.straightening), axis=1)
+    if any(np.any(one) for one in (surfaces.lift_increase, surfaces.arm - own, unequal)):
+        out.append(
+            "Of a hull's part in its rudder's force (`hull`) the mean of `straightening` alone is written."
+        )
+    if any(_held_at(surfaces, i) and not _seen(surfaces, i) for i in range(len(surfaces.names))):
+        out.append("Offset and stuck surfaces that see the flow along the hull alone stand at zero.")
+    return out
+
+
+def _surface(model: ET.Element, surfaces: Surfaces, i: int, name: str, density: float) -> None:
+    """What lifts at a surface's place, and, of one that moves, a stock to turn."""
+    seen, at = _seen(surfaces, i), _held_at(surfaces, i)
+    slope = float(surfaces.gain[i] * surfaces.lift_slope[i])
+    axis, chord, position = (np.asarray(getattr(surfaces, k)[i]) for k in ("axis", "chord", "position"))
+    plugin = _plugin(model, "lift-drag", "LiftDrag")
+    _put(plugin, "link_name", "base_link")
+    _put(plugin, "air_density", density)
+    _put(plugin, "area", float(surfaces.area[i]))
+    _put(plugin, "cp", _FLIP[:3] * position)
+    _put(plugin, "forward", _FLIP[:3] * chord)
+    _put(plugin, "upward", _FLIP[:3] * np.cross(axis, chord))
+    # Astern it lifts as well.
+    _put(plugin, "reversible", "true")
+    _put(plugin, "cla", slope * seen)
+    _put(plugin, "cda", 0.0)
+    _put(plugin, "a0", at / seen if seen else 0.0)
+    if surfaces.fixed[i] or abs(float(surfaces.stuck[i])) < FREE:
+        return
+    about = _turning(model, f"{name}_stock", f"{name}_joint", position, axis)
+    limit = ET.SubElement(about, "limit")
+    most = float(surfaces.max_angle[i])
+    _put(limit, "lower", -most)
+    _put(limit, "upper", most)
+    _put(plugin, "control_joint_name", f"{name}_joint")
+    _put(plugin, "control_joint_rad_to_cl", slope)
+    driver = _plugin(model, "joint-position-controller", "JointPositionController")
+    _put(driver, "joint_name", f"{name}_joint")
+    _put(driver, "use_velocity_commands", "true")
+
+
 def _plugin(parent: ET.Element, file: str, name: str) -> ET.Element:
     return ET.SubElement(parent, "plugin", filename=f"gz-sim-{file}-system", name=f"gz::sim::systems::{name}")
 
 
 def _put(parent: ET.Element, name: str, value) -> None:
-    text = value if isinstance(value, str) else " ".join(repr(float(one)) for one in np.atleast_1d(value))
+    text = (
+        value if isinstance(value, str) else " ".join(repr(float(one) + 0.0) for one in np.atleast_1d(value))
+    )
     ET.SubElement(parent, name).text = text
