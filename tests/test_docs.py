@@ -9,6 +9,7 @@ import pytest
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
+import jaxmarine as jm
 from docs import hooks
 from jaxmarine import CATALOGUE
 
@@ -47,6 +48,12 @@ def test_links_lead_somewhere(name):
 def test_examples_of_files_are_files(name):
     for text in re.findall(r"^```toml\n(.*?)^```$", (ROOT / name).read_text(), re.MULTILINE | re.DOTALL):
         tomllib.loads(text)
+
+
+def test_what_one_imports_stands_on_the_page_of_the_api():
+    page = (ROOT / "docs" / "api.md").read_text()
+    called = [name for name in dir(jm) if name[0] != "_" and callable(getattr(jm, name))]
+    assert len(called) > 30 and [name for name in called if f"::: jaxmarine.{name}\n" not in page] == []
 
 
 def test_the_readme_is_short_and_pictures_are_small():

@@ -5,6 +5,7 @@ import functools
 import importlib.util
 import itertools
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -47,6 +48,8 @@ from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed, Vehicle
 from jaxmarine.vehicle_io import packaged_vehicle, suspect_named
 from tests.crafts import packaged
+
+from .conftest import ROOT
 
 # Steps that `simulate` does not cut for any of these craft.
 T = np.arange(0.0, 5.0, 0.05)
@@ -218,11 +221,22 @@ def test_what_is_left_behind_is_said_and_written(tmp_path):
     assert "sliding mass" in " ".join(export(sliding(), tmp_path / "slides.zip", "casadi"))
 
 
-def test_the_command_line_exports_and_says_what_is_wrong(tmp_path):
+def run_of_the_page(which: int) -> dict:
+    """What a block of Python on the page of exports leaves, run where one is."""
+    page = (ROOT / "docs" / "exports.md").read_text()
+    blocks = re.findall(r"^```py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    left: dict = {}
+    exec(blocks[which], left)
+    return left
+
+
+def test_the_command_line_exports_and_says_what_is_wrong(tmp_path, monkeypatch):
     rov = str(packaged_vehicle("tethra"))
     done = CliRunner().invoke(app, ["export", rov, "--to", "casadi", "--out", str(tmp_path / "rov.zip")])
     assert done.exit_code == 0 and "Exported vehicle" in done.output
-    assert told(tmp_path / "rov.zip")["vehicle"] == "tethra"
+    monkeypatch.chdir(tmp_path)
+    left = run_of_the_page(0)
+    assert left["told"]["vehicle"] == "tethra" and left["rates"].n_in() == 4
     with pytest.raises(InputError, match=f"known are {', '.join(FORMATS)}"):
         export(packaged("tethra"), tmp_path / "x", "step")
 
@@ -233,7 +247,7 @@ def test_a_missing_package_is_said(tmp_path, monkeypatch):
         export(packaged("tethra"), tmp_path / "x", "casadi")
 
 
-def test_mujoco_moves_the_hull_as_simulate(tmp_path):
+def test_mujoco_moves_the_hull_as_simulate(tmp_path, monkeypatch):
     import mujoco
 
     vehicle, commands, start, track = driven("simple")
@@ -261,6 +275,17 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path):
         mujoco.set_mjcb_passive(None)
     # MuJoCo's Runge-Kutta takes steps of a fifth of those of `simulate`, whose own error this is.
     assert np.abs(np.array(places) - track[:, :3]).max() < 1e-5
+    # As the page has it.
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        left = run_of_the_page(1)
+        moving = mujoco.MjData(left["model"])
+        moving.qvel[0] = 1.0
+        mujoco.mj_step(left["model"], moving)
+        assert 0.0 < moving.qvel[0] < 1.0
+    finally:
+        mujoco.set_mjcb_passive(None)
     assert "without lag" in " ".join(export(remembering(), tmp_path / "slow.zip", "mujoco"))
 
 
@@ -487,9 +512,9 @@ def lifted(root: ET.Element, nu: np.ndarray, angles: dict[str, float]) -> np.nda
 
     The angle of attack, to which `a0` adds, lies between `forward` and the part of the velocity at `cp` that
     is in the plane of `forward` and `upward`. cl is `cla` times it, times the square of the cosine of the
-    sweep, and `control_joint_rad_to_cl` times the joint's angle; the lift, at right angles to that part, is cl
-    times the dynamic pressure times `area`. Turned by more than a right angle, a `reversible` one meets the
-    flow with its other edge.
+    sweep, and `control_joint_rad_to_cl` times the joint's angle; the lift, at right angles to that part, is
+    cl times the dynamic pressure times `area`. Turned by more than a right angle, a `reversible` one meets
+    the flow with its other edge.
     """
     out = np.zeros(6)
     for plugin in root.findall(".//plugin[@name='gz::sim::systems::LiftDrag']"):

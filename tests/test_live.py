@@ -20,12 +20,25 @@ def test_the_page_has_the_numbers_of_the_study():
 def test_what_is_named_before_the_fault_is_false():
     name = {"label": "a", "since": None, "at": study.SINCE - 1.0, "nats": 20.0}
     log = {"kind": "delay", "disturbance": "none", "factor": 0.8, "first_right": False, "delay": 12.0}
+    log |= {"since": study.SINCE}
     null = {"kind": "null", "disturbance": "none", "hours": 0.5, "named": [name | {"label": "b"}]}
     late = name | {"at": study.SINCE + 12.0}
     found = study.summary([log | {"named": [name, late]}, log | {"named": [], "delay": None}, null])
     (quiet,), (size,) = found["quiet"], found["sizes"]
     assert quiet["names"] == ["a", "b"] and quiet["hours"] == 0.5 + 2 * study.SINCE / 3600.0
-    assert (size["named"], size["logs"], size["delays"]) == (1, 2, [12.0])
+    assert (size["named"], size["logs"], size["delays"], size["false"]) == (1, 2, [12.0], 1)
+
+
+def test_a_fault_that_gets_no_name_is_later_than_all():
+    def logs(*delays: float | None) -> list[dict]:
+        return [{"delay": one, "first_right": one is not None, "named": []} for one in delays]
+
+    (found, late) = (study.size_of(logs(*some)) for some in ((30.0, 10.0, None), (None, 5.0, None)))
+    assert (found["median"], found["most"], found["named"]) == (30.0, None, 2)
+    assert (late["median"], late["most"], late["false"]) == (None, None, 0)
+    twenty = study.size_of(logs(*(float(k) for k in range(20))))
+    # Of twenty, nineteen take no longer.
+    assert (twenty["median"], twenty["most"]) == (9.0, 18.0)
 
 
 def test_hours_are_summed_up_by_water_and_setting():
