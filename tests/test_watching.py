@@ -324,6 +324,44 @@ def test_a_suspect_that_rows_do_not_bear_out_is_no_rival(unchecked, monkeypatch)
     assert rival_of(monkeypatch, ALWAYS, {(ALWAYS, 0.15): 2.0}) is None
 
 
+@pytest.mark.parametrize(
+    ("grows", "asked"),
+    [
+        # 20 nats are sure: asked at once, then after 32 blocks (patience has doubled), then after 64.
+        (lambda block: 20.0, [100, 132, 196]),
+        # Once there are twice as many, 16 blocks from one time to the next at least; then patience holds.
+        (lambda block: 20.0 if block < 108 else 50.0, [100, 116, 180]),
+        (lambda block: 20.0 if block < 124 else 40.0, [100, 124, 188]),
+        # Nothing is sure, or no longer: patience begins anew.
+        (lambda block: 10.0, []),
+        (lambda block: 20.0 if block < 104 or block >= 200 else 10.0, [100, 200, 232]),
+    ],
+)
+def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, monkeypatch, grows, asked):
+    """The best by windows, before and after the disturbance is estimated anew, and the best by blocks."""
+    layout, ledger = SimpleNamespace(suspects=("a", "b", "c")), SimpleNamespace(blocks=0, full=False)
+    bench = SimpleNamespace(layout=layout, length=4.0, swinging=())
+    ledger.bench = bench
+    monkeypatch.setattr(_judge, "LOOK", 4)
+    judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=ledger), 0.01)
+    judge.bound, judge.estimated_at = 15.0, 80
+    decided = []
+
+    def weigh():
+        nats = np.array([[grows(ledger.blocks), 0.0], [0.0, 0.0], [0.0, 0.0]])
+        zero = np.zeros(0), np.zeros((0, 0))
+        return [Sum(-np.inf, 1000, *zero), Sum(8.0, 500, *zero)], nats
+
+    monkeypatch.setattr(judge, "_weigh", weigh)
+    monkeypatch.setattr(judge, "_closely", lambda: [Member(2, 8.5)])
+    monkeypatch.setattr(judge, "_estimate", lambda: setattr(judge, "estimated_at", ledger.blocks))
+    monkeypatch.setattr(judge, "_decide", lambda some, swinging: decided.append((ledger.blocks, some)) or [])
+    for ledger.blocks in range(100, 240, 4):
+        judge._look()
+    assert [block for block, _ in decided] == asked
+    assert all(some == [Member(0, -np.inf), Member(2, 8.5)] for _, some in decided)
+
+
 # --- blocks that are linear about something ------------------------------------------------------
 
 

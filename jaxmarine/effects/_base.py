@@ -117,6 +117,18 @@ class AbstractEffect(eqx.Module):
         del craft
         return f"{cls.title(found.target)} ({listed(found)})"
 
+    @classmethod
+    def contradicts(cls, target: str | None, values: Mapping[str, float], dt: float) -> str:
+        """The sentence where sensors alone contradict one another as they do by it; empty: by too little.
+
+        - `dt` [s]: between two samples.
+        """
+        del dt
+        label = cls.name if target is None else f"{cls.name}:{target}"
+        numbers = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
+        as_told = f"{label} ({numbers})"
+        return f"Positions, attitude and velocities contradict one another as {as_told} would make them."
+
     def parameters(self) -> dict[str, Any]:
         """The fields by name."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}

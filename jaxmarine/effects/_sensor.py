@@ -6,6 +6,7 @@ Each touches only the channels that it names; logged accelerations stay true and
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Self
 
 import jax.numpy as jnp
@@ -32,6 +33,12 @@ from ._words import FROM_ORIGIN, Found, degrees, estimate, place_of, value_of
 
 def _with_velocity(readings: Readings, velocity) -> Readings:
     return dataclasses.replace(readings, nu=jnp.concatenate([velocity, readings.nu[3:]]))
+
+
+# A delay is told from half a sample on, and from this on [s]: less is how times are stamped.
+_SHARE, _LEAST = 0.5, 0.05
+# A deviation is told from this on [rad]: a compass is seldom better.
+_DEVIATES = 0.03
 
 
 class VelocityLeverArm(SensorEffect):
@@ -166,6 +173,11 @@ class VelocityInEarthAxes(SensorEffect):
         return whole(cls, cls.units if moving else (), {"fraction": 1.0})
 
     @classmethod
+    def contradicts(cls, target: str | None, values: Mapping[str, float], dt: float) -> str:
+        del target, values, dt
+        return "The logged velocities are in earth axes: turn them into body axes."
+
+    @classmethod
     def said(cls, found: Found, craft: Filed) -> str:
         del craft
         if value_of(found, "fraction") > 0.9:
@@ -235,6 +247,16 @@ class CompassDeviation(SensorEffect):
         return whole(cls, cls.units if free(craft, "yaw") else ())
 
     @classmethod
+    def contradicts(cls, target: str | None, values: Mapping[str, float], dt: float) -> str:
+        del target, dt
+        if math.hypot(values["cos"], values["sin"]) < _DEVIATES:
+            return ""
+        return (
+            f"The logged heading deviates from the true one by {values['constant']:.2f} + {values['cos']:.2f}"
+            f" cos(psi) + {values['sin']:.2f} sin(psi) rad: swing the compass."
+        )
+
+    @classmethod
     def said(cls, found: Found, craft: Filed) -> str:
         del craft
         times = {"constant": "", "cos": " cos(psi)", "sin": " sin(psi)"}
@@ -286,6 +308,12 @@ class SensorDelay(AbstractEffect):
     @classmethod
     def title(cls, target: str | None) -> str:
         return super().title(target) if target is None else f"late {target}"
+
+    @classmethod
+    def contradicts(cls, target: str | None, values: Mapping[str, float], dt: float) -> str:
+        if values["delay"] < max(_LEAST, _SHARE * dt):
+            return ""
+        return f"The logged {target} comes {values['delay']:.2f} s late beside the other sensors."
 
     @classmethod
     def said(cls, found: Found, craft: Filed) -> str:

@@ -12,13 +12,11 @@ import numpy as np
 from .._types import DOFS
 from ..effects import (
     CATALOGUE,
-    CompassDeviation,
     ExchangedThrusters,
     SensorDelay,
     SensorEffect,
     Suspect,
     ThrusterGain,
-    VelocityInEarthAxes,
     place,
 )
 from ..logs import Log
@@ -27,11 +25,6 @@ from ._feedback import answers
 from ._kinematics import Contradiction, contradiction, kinematics, misread
 from ._responses import USUAL, Reading, confirmed, opposite, read_otherwise, responses
 from ._reversed import reversed_columns
-
-# A delay is told from half a sample on, and from this on [s]: less is how times are stamped.
-_SHARE, _LEAST = 0.5, 0.05
-# A deviation is told from this on [rad]: a compass is seldom better.
-_DEVIATES = 0.03
 
 
 class GrossError(NamedTuple):
@@ -87,25 +80,10 @@ def _of_sensors(
     vehicle: Vehicle, logs: Sequence[Log], suspects: Sequence[Suspect], found: Contradiction
 ) -> tuple[GrossError, ...]:
     suspect, values = suspects[found.suspect], found.values
-    if suspect.effect is SensorDelay:
-        if values["delay"] < max(_LEAST, _SHARE * float(np.median([log.dt for log in logs]))):
-            return ()
-        told = f"The logged {suspect.target} comes {values['delay']:.2f} s late beside the other sensors."
-    elif suspect.effect is CompassDeviation:
-        if np.hypot(values["cos"], values["sin"]) < _DEVIATES:
-            return ()
-        told = (
-            f"The logged heading deviates from the true one by {values['constant']:.2f} + {values['cos']:.2f}"
-            f" cos(psi) + {values['sin']:.2f} sin(psi) rad: swing the compass."
-        )
-    elif suspect.effect is VelocityInEarthAxes:
-        told = "The logged velocities are in earth axes: turn them into body axes."
-    else:
-        numbers = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
-        told = (
-            "Positions, attitude and velocities contradict one another as "
-            f"{suspect.label} ({numbers}) would make them."
-        )
+    dt = float(np.median([log.dt for log in logs]))
+    told = suspect.effect.contradicts(suspect.target, values, dt)
+    if not told:
+        return ()
     cause = Placed(place(suspect, vehicle, values), suspect.target)
     return (GrossError(told, (cause,), found.evidence),)
 

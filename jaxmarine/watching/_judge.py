@@ -164,11 +164,12 @@ class Judge:
             return self._decide([], swinging)
         self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         self.asked_with = float(self.nats.max())
-        before = hopeful(*self._weigh()) if waited else []
+        suspected = hopeful(*self._weigh())
         if waited:
             self._estimate()
-        suspected = {one.suspect: one for one in (*before, *self._closely())}
-        return self._decide(list(suspected.values()), swinging)
+            suspected += hopeful(*self._weigh())
+        suspected += self._closely()
+        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
 
     def _swinging(self) -> bool:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
