@@ -2,6 +2,9 @@
 
 import os
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -153,6 +156,44 @@ def test_an_actuator_of_ones_own_brakes(folder):
     run = jm.simulate(craft, log, jm.initial_state(craft))
     # In the end 80 N of thrust meet 20 u + (75 + 40) u² of drag.
     assert float(run["u"][-1]) == pytest.approx((-20 + (20**2 + 4 * 115 * 80) ** 0.5) / 230, rel=1e-3)
+
+
+# Of a package with one more line in the table of sensors.
+ONE_MORE = """
+import jax, numpy as np
+from scipy.spatial.transform import Rotation
+jax.config.update("jax_enable_x64", True)
+import jaxmarine as jm
+text = jm.packaged_vehicle("tethra").read_text()
+open("rov.toml", "w").write(text.replace("[sensors]", "[sensors]\\nmagnetic_field = 0.3"))
+rov = jm.load_vehicle("rov.toml")
+assert dict(rov.sensors)["magnetic_field"] == 0.3
+t = np.arange(0.0, 2.0, 0.1)
+commands = np.tile([0.3, -0.3, 0.1, 0.2], (len(t), 1))
+blank = jm.Log(t, np.full((len(t), 18), np.nan), commands, None, rov.command_names, "-")
+start = jm.initial_state(rov, attitude=(0.1, -0.2, 0.7))
+run = jm.simulate(rov, blank, start, sensors=("magnetic_field",))
+shown = ("x", "y", "z", "phi", "theta", "psi", "bx", "by", "bz")
+table = {"t": t} | {name: run[name] for name in shown}
+table |= dict(zip(rov.command_names, commands.T))
+import pandas
+log = jm.read_log(pandas.DataFrame(table), rov)
+turned = Rotation.from_euler("ZYX", np.array([run[name] for name in ("psi", "theta", "phi")]).T)
+seen = np.array([log[name] for name in ("bx", "by", "bz")]).T
+np.testing.assert_allclose(seen, turned.inv().apply([18.0, 0.0, 46.0]), atol=1e-9)
+assert np.ptp(seen[:, 0]) > 0.1
+"""
+
+
+@pytest.mark.slow
+def test_a_sensor_of_ones_own_is_one_line_of_a_table(tmp_path):
+    (line,) = blocks("py", "docs/extending.md")
+    shutil.copytree(ROOT / "jaxmarine", tmp_path / "jaxmarine", ignore=shutil.ignore_patterns("__pycache__"))
+    types = tmp_path / "jaxmarine" / "_types.py"
+    before, head, after = types.read_text().partition("\nTABLE = (\n")
+    inside, end, after = after.partition("\n)\n")
+    types.write_text(before + head + inside + f"\n{line.rstrip()}," + end + after, encoding="utf-8")
+    subprocess.run([sys.executable, "-c", ONE_MORE], cwd=tmp_path, check=True)
 
 
 def test_a_reader_of_ones_own_reads(folder):
