@@ -179,7 +179,8 @@ table |= dict(zip(rov.command_names, commands.T))
 import pandas
 log = jm.read_log(pandas.DataFrame(table), rov)
 turned = Rotation.from_euler("ZYX", np.array([run[name] for name in ("psi", "theta", "phi")]).T)
-seen = np.array([log[name] for name in ("bx", "by", "bz")]).T
+from jaxmarine._types import ALL_CHANNELS
+seen = log.channels[:, [ALL_CHANNELS.index(name) for name in ("bx", "by", "bz")]]
 np.testing.assert_allclose(seen, turned.inv().apply([18.0, 0.0, 46.0]), atol=1e-9)
 assert np.ptp(seen[:, 0]) > 0.1
 """
