@@ -28,12 +28,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import psutil
 import typer
 
 import jaxmarine as jm
-from experiments._study import program, study, write_results
+from experiments._study import program, save_figure, study, write_results
 from experiments.blind.cases import make_case
 from experiments.blind.disturbances import KINDS as WEATHERS
 from experiments.blind.plant import Effect
@@ -303,17 +304,10 @@ def summary(rows: list[Row]) -> Row:
 
     sizes = []
     for factor in sorted({one["factor"] for one in of("delay")}, reverse=True):
-        some = [one for one in of("delay") if one["factor"] == factor]
-        delays = [one["delay"] for one in some if one["delay"] is not None]
-        sizes.append(
-            {
-                "factor": factor,
-                "logs": len(some),
-                "named": len(delays),
-                "first": sum(one["first_right"] for one in some),
-                "delays": sorted(delays),
-            }
-        )
+        for water in DISTURBANCES[:2]:
+            some = [one for one in of("delay") if (one["factor"], one["disturbance"]) == (factor, water)]
+            if some:
+                sizes.append({"factor": factor, "disturbance": water, **size_of(some)})
     quiet = []
     for water in DISTURBANCES:
         # What is named before the fault of a log with one is as false.
@@ -331,6 +325,27 @@ def summary(rows: list[Row]) -> Row:
         "settings": [settings_of(of("hour"), water) for water in WEATHERS],
         "pace": of("pace"),
         "long": of("long"),
+    }
+
+
+def size_of(some: list[Row]) -> Row:
+    """Of logs with a fault of one size: what was named, and seconds from the fault to its name.
+
+    None, of a delay's median and of what 95 % do not exceed: longer than the log.
+    """
+    delays = sorted(one["delay"] for one in some if one["delay"] is not None)
+    every = [*delays, *[np.inf] * (len(some) - len(delays))]
+    # Of an order, as what was not named in time has no number to be between.
+    at = np.quantile(every, [0.5, 0.95], method="inverted_cdf").tolist()
+    median, most = (None if one == np.inf else one for one in at)
+    return {
+        "logs": len(some),
+        "named": len(delays),
+        "first": sum(one["first_right"] for one in some),
+        "false": sum(bool(one["named"]) and not one["first_right"] for one in some),
+        "delays": delays,
+        "median": median,
+        "most": most,
     }
 
 
@@ -368,12 +383,15 @@ def table(found: Row) -> str:
         out.append(f"| {steering}, {WATERS[one['disturbance']]} | {watched} | {diagnosed} | {nats} |")
     out += [
         "",
-        "| factor of the thrust | named, of logs | as the first name | seconds from the fault to its name |",
+        "| factor of the thrust | water | named, of logs | first | another first | median [s] | 95 % [s] |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    out.append("| --- | --- | --- | --- |")
     for one in found["sizes"]:
-        delays = ", ".join(f"{delay:.0f}" for delay in one["delays"])
-        out.append(f"| {one['factor']:g} | {one['named']} of {one['logs']} | {one['first']} | {delays} |")
+        at = " | ".join("not in time" if one[k] is None else f"{one[k]:.0f}" for k in ("median", "most"))
+        out.append(
+            f"| {one['factor']:g} | {WATERS[one['disturbance']]} | {one['named']} of {one['logs']} | "
+            f"{one['first']} | {one['false']} | {at} |"
+        )
     out += ["", "| water | hours watched | false names | which |", "| --- | --- | --- | --- |"]
     for one in found["quiet"]:
         names = counted(one["names"])
@@ -405,6 +423,34 @@ def table(found: Row) -> str:
     return "\n".join(out) + "\n"
 
 
+def delays(sizes: list[Row], path: Path) -> None:
+    """Seconds from a fault to its name over its size: each log, median, and what 95 % do not exceed."""
+    plot, ax = plt.subplots(figsize=(6, 4), layout="constrained")
+    never = DURATION - SINCE
+    for water, colour, aside in (("none", "#1f6fb5", -0.006), ("gusts", "#c2571a", 0.006)):
+        some = [one for one in sizes if one["disturbance"] == water]
+        lost = np.array([1.0 - one["factor"] for one in some])
+        for one, x in zip(some, lost, strict=True):
+            ax.plot([x + aside] * len(one["delays"]), one["delays"], "o", color=colour, ms=3, alpha=0.5)
+            unnamed = one["logs"] - one["named"]
+            if unnamed:
+                ax.annotate(str(unnamed), (x + 2 * aside, never), color=colour, fontsize=8, ha="center")
+        for key, style, text in (("median", "-", "median"), ("most", "--", "95 %")):
+            at = [np.nan if one[key] is None else one[key] for one in some]
+            ax.plot(lost, at, style, color=colour, lw=1.2, label=f"{WATERS[water]}, {text}")
+    ax.set(
+        yscale="log",
+        xlabel="share of its thrust that a thruster loses",
+        ylabel="from the fault to its name [s]",
+        ylim=(1.0, 1.3 * never),
+    )
+    ax.set_yticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
+    ax.minorticks_off()
+    ax.legend(frameon=False, fontsize=8, loc="lower left")
+    ax.spines[["top", "right"]].set_visible(False)
+    save_figure(plot, path)
+
+
 def main(
     out: Annotated[Path, typer.Option(help="Where logs, rows and results are written.")],
     quick: Annotated[bool, typer.Option("--quick", help="One log of each kind.")] = False,
@@ -414,6 +460,7 @@ def main(
         rows = [row(name, job, out) for name, job in planned(quick).items()]
         found = summary(rows)
         write_results(out, {"program": program(), **found, "rows": rows}, table(found))
+        delays(found["sizes"], out / "delays.png")
     print((out / "results.md").read_text())
 
 
