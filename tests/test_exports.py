@@ -475,7 +475,7 @@ def test_the_world_for_gazebo_moves_by_its_documentation_as_simulate(tmp_path):
 
 
 def finned() -> Vehicle:
-    """An ROV with a rudder, a plane that is weak and off and sees half of the flow, a skeg, and one stuck."""
+    """An ROV with a rudder, a plane that is weak and off and sees half of the flow, a skeg, and two stuck."""
     hull = HullTable(straightening=(0.5, 0.5))
     tables = [
         SurfaceTable(
@@ -493,12 +493,17 @@ def finned() -> Vehicle:
         SurfaceTable(
             name="stuck", position=(0.4, -0.2, 0.0), axis=(0.0, 1.0, 0.0), area=0.01, lift_slope=3.0
         ),
+        SurfaceTable(
+            name="skew", position=(0.3, 0.1, 0.0), axis=(0.0, 0.0, 1.0), area=0.01, lift_slope=3.0,
+            hull=HullTable(straightening=(0.0, 0.0)),
+        ),
     ]  # fmt: skip
     vehicle = dataclasses.replace(packaged("tethra"), actuators=(Surfaces.of(tables),))
     causes = [
         ("surface_gain", "plane", {"factor": 0.5}),
         ("surface_offset", "plane", {"angle": 0.01}),
         ("surface_stuck", "stuck", {"angle": -0.015}),
+        ("surface_stuck", "skew", {"angle": 0.03}),
     ]
     placed = [
         Placed(place(suspect_named(vehicle, effect, target), vehicle, values), target)
@@ -540,7 +545,8 @@ def lifted(root: ET.Element, nu: np.ndarray, angles: dict[str, float]) -> np.nda
             axis = [float(one) for one in str(about.findtext("axis/xyz")).split()]
             # Turned right-handed about it the leading edge goes the way of the lift.
             np.testing.assert_allclose(np.cross(axis, forward), upward, atol=1e-12)
-            cl += read("control_joint_rad_to_cl")[0] * angles[joint]
+            low, high = (float(str(about.findtext(f"axis/limit/{end}"))) for end in ("lower", "upper"))
+            cl += read("control_joint_rad_to_cl")[0] * np.clip(angles[joint], low, high)
         force = 0.5 * read("air_density")[0] * (part @ part) * read("area")[0] * cl * lift
         out += np.append(force, np.cross(cp, force))
     return out
@@ -554,7 +560,7 @@ def test_surfaces_lift_in_gazebo_as_in_the_file_at_small_angles(tmp_path, ahead)
     root = ET.parse(tmp_path / "rov.sdf").getroot()
     flip = np.array([1.0, -1.0, -1.0] * 2)
     (surfaces,) = vehicle.plant().actuators
-    aside, angles = rng.normal(size=6) * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0], rng.normal(size=3)
+    aside, angles = rng.normal(size=6) * [0.0, 1.0, 1.0, 1.0, 1.0, 1.0], rng.normal(size=4)
 
     def wrenches(small: float) -> tuple[np.ndarray, np.ndarray]:
         nu, state = small * aside, small * angles
@@ -564,7 +570,7 @@ def test_surfaces_lift_in_gazebo_as_in_the_file_at_small_angles(tmp_path, ahead)
         joints = {f"{name}_joint": float(a) for name, a in zip(surfaces.columns, state, strict=True)}
         return np.asarray(surfaces.wrench(jnp.asarray(state), flow)), flip * lifted(root, flip * nu, joints)
 
-    # What stands off anyway is small: an offset of 0.01, one that is stuck at -0.015 rad.
+    # What stands off anyway is small: an offset of 0.01, those that are stuck at -0.015 and 0.03 rad.
     (ours, theirs), (nearer, too) = wrenches(0.02), wrenches(0.01)
     across = [1, 2, 3, 4, 5]
     # Drag is of second order: a share of 0.02 to 0.04 of the lift; all else of third.
@@ -573,7 +579,9 @@ def test_surfaces_lift_in_gazebo_as_in_the_file_at_small_angles(tmp_path, ahead)
     joint = root.find(".//joint[@name='rudder_joint']/axis/limit")
     assert joint is not None and (joint.findtext("lower"), joint.findtext("upper")) == ("-0.5", "0.5")
     drivers = root.findall(".//plugin[@name='gz::sim::systems::JointPositionController']")
-    assert [one.findtext("joint_name") for one in drivers] == ["rudder_joint", "plane_joint"]
+    assert [(one.findtext("joint_name"), one.findtext("initial_position")) for one in drivers] == [
+        ("rudder_joint", None), ("plane_joint", None), ("stuck_joint", "-0.015"), ("skew_joint", "0.03"),
+    ]  # fmt: skip
 
 
 def test_gazebo_says_what_surfaces_lose(tmp_path):
@@ -590,8 +598,12 @@ def test_gazebo_says_what_surfaces_lose(tmp_path):
         hull=hull,
     )
     vehicle = dataclasses.replace(packaged("tethra"), actuators=(Surfaces.of([behind]),))
+    off = place(suspect_named(vehicle, "surface_offset", "rudder"), vehicle, {"angle": 0.5})
+    vehicle = vehicle.place(Placed(off, "rudder"))
     notes = " ".join(export(vehicle, tmp_path / "rov.sdf", "sdf"))
     assert "not a propeller's stream" in notes and "(`hull`)" in notes
+    # Of half a radian on what sees half of the flow it would take the flow to come from behind.
+    assert "offset of surfaces is left out: rudder" in notes
 
 
 def test_gazebo_has_no_locked_axes(tmp_path):

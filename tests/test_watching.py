@@ -266,7 +266,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
     def told(passage, members, known, account, begins):
         since, first = members[-1].since, float(known[-1])
         # Before it begins nothing acts otherwise.
-        assert begins == since and passage == "none"
+        assert begins == since and passage is passages
         level = levels.get((since, first))
         if level is None:
             return None
@@ -288,7 +288,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
     monkeypatch.setattr(_rivals, "tell", settled)
     monkeypatch.setattr(_rivals, "promised", promised)
     monkeypatch.setattr(_rivals, "possible", lambda told: True)
-    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0), passage="none")
+    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0), passage=passages)
     field: Any = _rivals.Field(passages, (), none)
     member = Member(0, weighed)
     return next(field.sloped([_rivals.Weighed(30.0, member, None)]), None)
@@ -353,7 +353,7 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
         return [Sum(-np.inf, 1000, *zero), Sum(8.0, 500, *zero)], nats
 
     monkeypatch.setattr(judge, "_weigh", weigh)
-    monkeypatch.setattr(judge, "_closely", lambda: [Member(2, 8.5)])
+    monkeypatch.setattr(judge, "_closely", lambda since, table: [Member(2, 8.5)])
     monkeypatch.setattr(judge, "_estimate", lambda: setattr(judge, "estimated_at", ledger.blocks))
     monkeypatch.setattr(judge, "_decide", lambda some, swinging: decided.append((ledger.blocks, some)) or [])
     for ledger.blocks in range(100, 240, 4):
@@ -485,10 +485,17 @@ def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
 
 
-def test_who_begins_within_a_window_is_in_nothing_before(begun):
-    """As blocks tell it that were without a trace of any suspect before, one after the other."""
+@pytest.mark.parametrize("named", [(), ("thruster_gain:port",)])
+def test_who_begins_within_a_window_is_in_nothing_before(begun, named):
+    """As blocks tell it that were without a trace of any suspect before, one after the other.
+
+    What is named acts all the while, though others may have columns of its own: all thrusters together.
+    """
     ledger = begun.parts.passage.ledger
     bench, first = ledger.bench, ledger.bench.whole + 3
+    labels = [one.label for one in bench.layout.suspects]
+    members = [Member(labels.index(one), -np.inf) for one in named]
+    own = [np.flatnonzero(ledger.suspicions.columns[one.suspect].any(axis=1)) for one in members]
     begins = float(ledger.begun_at[first])
     near = ledger.begun_at[first - bench.whole + 1 : first + bench.whole]
     np.testing.assert_array_equal(ledger.begun_within(begins), near)
@@ -498,18 +505,19 @@ def test_who_begins_within_a_window_is_in_nothing_before(begun):
         window = jax.tree.map(lambda a, k=k: a[k], ledger.windows)
         if k < first:
             acts = np.zeros(window.end.shape[-1])
-            acts[[*filed, -1]] = 1.0
+            acts[[*filed, *np.concatenate([*own, []]).astype(int), -1]] = 1.0
             line = dataclasses.replace(window.line, residual=window.line.residual * acts)
             window = dataclasses.replace(window, line=line, end=window.end * acts)
         ends = float(ledger.begun_at[k] + bench.steps * bench.dt)
         assert after.add(window, float(ledger.begun_at[k]), ends, int(ledger.counts[k])) is not None
     account = after.accounts[0]
     since = since_each(account, [0, first], after.begun_at[: after.held], after.counts)
-    told, nats = ledger.nats_from(ledger.accounts[0], (), begins)
+    told, nats = ledger.nats_from(ledger.accounts[0], members, begins)
     assert (told.t, told.seen) == (begins, since[1].seen)
     # To what rounding leaves of a hundred nats.
-    np.testing.assert_allclose(nats, after.suspicions.nats(since, ())[:, 1], rtol=1e-7, atol=1e-7)
-    windows = ledger.nats(ledger.accounts[0], ledger.since(ledger.accounts[0]), ())
+    np.testing.assert_allclose(nats, after.suspicions.nats(since, members)[:, 1], rtol=1e-7, atol=1e-7)
+    windows = ledger.nats(ledger.accounts[0], ledger.since(ledger.accounts[0]), members)
+    nats, windows = (np.delete(one, [m.suspect for m in members], axis=0) for one in (nats, windows))
     assert np.abs(windows[:, 1:3].max(axis=1) - nats).max() > 1.0
 
 
@@ -619,8 +627,10 @@ def test_a_thruster_that_grows_weak_is_named_with_its_time(watched):
     (name,) = watch.named
     value, std, _ = name.parameters["factor"]
     assert name.label == "thruster_gain:starboard" and SINCE < name.at < SINCE + 20.0
-    # It began with a block.
+    # It began with a block, and what was said since then is kept when that is let go.
     assert name.since == pytest.approx(SINCE)
+    ledger = watch.parts.passage.ledger
+    assert ledger.begun_at[0] > SINCE and name.since in [one.t for one in ledger.since(ledger.accounts[0])]
     assert abs(value - WEAK) < 4 * std + 0.02
     assert any("thruster_gain:starboard, since t =" in said for said in told)
     gain = watch.extended.plant().drive.gain

@@ -178,10 +178,15 @@ def _seen(surfaces: Surfaces, i: int) -> float:
     return float(np.mean(np.asarray(surfaces.straightening[i])))
 
 
-def _held_at(surfaces: Surfaces, i: int) -> float:
-    """The deflection that is no command's [rad]: an offset, or where it is stuck."""
-    stuck = float(surfaces.stuck[i])
-    return stuck if abs(stuck) < FREE else float(surfaces.offset[i])
+def _initial_attack(surfaces: Surfaces, i: int) -> float | None:
+    """The plug-in's `a0` [rad], which stands for an offset; None where it would have to be too large.
+
+    What is beyond a right angle it takes for a flow from behind; the half of one is left to the flow itself.
+    """
+    offset, seen = float(surfaces.offset[i]), _seen(surfaces, i)
+    if not offset:
+        return 0.0
+    return offset / seen if abs(offset) < math.pi / 4 * seen else None
 
 
 def _beyond_lift(surfaces: Surfaces) -> list[str]:
@@ -198,14 +203,14 @@ def _beyond_lift(surfaces: Surfaces) -> list[str]:
         out.append(
             "Of a hull's part in its rudder's force (`hull`) the mean of `straightening` alone is written."
         )
-    if any(_held_at(surfaces, i) and not _seen(surfaces, i) for i in range(len(surfaces.names))):
-        out.append("Offset and stuck surfaces that see the flow along the hull alone stand at zero.")
+    off = [name for i, name in enumerate(surfaces.names) if _initial_attack(surfaces, i) is None]
+    if off:
+        out.append(f"The offset of surfaces is left out: {', '.join(off)}.")
     return out
 
 
 def _surface(model: ET.Element, surfaces: Surfaces, i: int, name: str, density: float) -> None:
-    """What lifts at a surface's place, and, of one that moves, a stock to turn."""
-    seen, at = _seen(surfaces, i), _held_at(surfaces, i)
+    """What lifts at a surface's place, and, of one that moves or is stuck, a stock to turn."""
     slope = float(surfaces.gain[i] * surfaces.lift_slope[i])
     axis, chord, position = (np.asarray(getattr(surfaces, k)[i]) for k in ("axis", "chord", "position"))
     plugin = _plugin(model, "lift-drag", "LiftDrag")
@@ -217,21 +222,24 @@ def _surface(model: ET.Element, surfaces: Surfaces, i: int, name: str, density: 
     _put(plugin, "upward", _FLIP[:3] * np.cross(axis, chord))
     # Astern it lifts as well.
     _put(plugin, "reversible", "true")
-    _put(plugin, "cla", slope * seen)
+    _put(plugin, "cla", slope * _seen(surfaces, i))
     _put(plugin, "cda", 0.0)
-    _put(plugin, "a0", at / seen if seen else 0.0)
-    if surfaces.fixed[i] or abs(float(surfaces.stuck[i])) < FREE:
+    most, stuck = float(surfaces.max_angle[i]), float(surfaces.stuck[i])
+    held = abs(stuck) < FREE
+    _put(plugin, "a0", 0.0 if held else _initial_attack(surfaces, i) or 0.0)
+    if surfaces.fixed[i] and not held:
         return
     about = _turning(model, f"{name}_stock", f"{name}_joint", position, axis)
     limit = ET.SubElement(about, "limit")
-    most = float(surfaces.max_angle[i])
-    _put(limit, "lower", -most)
-    _put(limit, "upper", most)
+    _put(limit, "lower", stuck if held else -most)
+    _put(limit, "upper", stuck if held else most)
     _put(plugin, "control_joint_name", f"{name}_joint")
     _put(plugin, "control_joint_rad_to_cl", slope)
     driver = _plugin(model, "joint-position-controller", "JointPositionController")
     _put(driver, "joint_name", f"{name}_joint")
     _put(driver, "use_velocity_commands", "true")
+    if held:
+        _put(driver, "initial_position", stuck)
 
 
 def _plugin(parent: ET.Element, file: str, name: str) -> ET.Element:

@@ -122,20 +122,19 @@ class Judge:
         ledger = self.ledger
         return [ledger.likelihood(one, ledger.since(one), self.members) for one in ledger.accounts]
 
-    def _closely(self) -> list[Member]:
-        """The best suspects, each with its beginning to the block.
+    def _closely(self, since: Sequence[Sum], table: np.ndarray) -> list[Member]:
+        """The best suspects, each with its beginning to the block near those that are best by windows.
 
         Who began within a window resembles another who hardly acts between its beginning and that.
         """
         ledger, levels = self.ledger, self._levels()
-        since, table = self._weigh()
-        times = {float(t) for one in hopeful(since, table) for t in ledger.begun_within(one.since)}
-        for t in sorted(times):
+        columns = {one.t: (one, nats) for one, nats in zip(since, table.T, strict=True)}
+        for t in sorted({float(t) for one in hopeful(since, table) for t in ledger.begun_within(one.since)}):
             told = [ledger.nats_from(one, self.members, t) for one in ledger.accounts]
             nats = [nats + level for (_, nats), level in zip(told, levels, strict=True)]
-            since.append(told[0][0])
-            table = np.append(table, np.max(nats, axis=0)[:, None] - max(levels), axis=1)
-        return hopeful(since, table)
+            columns[t] = told[0][0], np.max(nats, axis=0) - max(levels)
+        every, nats = zip(*columns.values(), strict=True)
+        return hopeful(every, np.array(nats).T)
 
     def _leading(self) -> Member | None:
         since, table = self._weigh()
@@ -148,14 +147,15 @@ class Judge:
     def _look(self) -> list[str]:
         """Weighs all suspects, and names one that is sure."""
         ledger = self.ledger
-        self.nats = self._weigh()[1].max(axis=1)
-        waited, since = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
+        since, table = self._weigh()
+        self.nats = table.max(axis=1)
+        waited, rested = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
         sure, swinging = self.nats.max() >= self.bound, self._swinging()
         if not sure and waited >= PATIENCE:
             self.undecided, self.patience = (), PATIENCE
         # Rows that tell twice as much may tell two apart.
-        told_more = since >= PATIENCE and self.nats.max() >= 2 * self.asked_with
-        sure = sure and (since >= self.patience or told_more)
+        told_more = rested >= PATIENCE and self.nats.max() >= 2 * self.asked_with
+        sure = sure and (rested >= self.patience or told_more)
         if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
         if swinging:
@@ -163,12 +163,14 @@ class Judge:
         if not sure:
             return self._decide([], swinging)
         self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
-        self.asked_with = float(self.nats.max())
-        suspected = hopeful(*self._weigh())
+        suspected = hopeful(since, table)
         if waited:
             self._estimate()
-            suspected += hopeful(*self._weigh())
-        suspected += self._closely()
+            since, table = self._weigh()
+            self.nats = table.max(axis=1)
+            suspected += hopeful(since, table)
+        self.asked_with = float(self.nats.max())
+        suspected += self._closely(since, table)
         return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
 
     def _swinging(self) -> bool:
@@ -178,7 +180,7 @@ class Judge:
         unnamed = {*ledger.bench.swinging} - {one.suspect for one in self.members}
         return bool(due and unnamed) and ledger.accounts[0].force.swells
 
-    def _decide(self, hopeful: Sequence[Member], swinging: bool) -> list[str]:
+    def _decide(self, suspected: Sequence[Member], swinging: bool) -> list[str]:
         """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
 
         Or if a swell may be a wave.
@@ -187,7 +189,7 @@ class Judge:
         first = ledger.accounts[0]
         level = max(ledger.likelihood(a, ledger.since(a), self.members) for a in ledger.accounts)
         weighed: list[Weighed] = []
-        for member in hopeful:
+        for member in suspected:
             own = ledger.accounts[-1].branched()
             ledger.estimate(own, (*self.members, member))
             found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
@@ -241,7 +243,8 @@ class Judge:
 
     def _name(self, best: Rival) -> list[str]:
         """Takes a suspect into the model, which goes on linear about it."""
-        self.undecided = ()
+        # What is left has nats of its own.
+        self.undecided, self.asked_with = (), 0.0
         self.passage.adopt(best.told.passage)
         self.members, self.estimated_at = best.told.members, self.ledger.blocks
         numbers = {} if best.exchanged else self.parameters(len(self.members) - 1)

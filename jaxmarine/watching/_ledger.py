@@ -236,9 +236,10 @@ class Ledger:
         return since_each(account, first, self.begun_at[: self.held], self.counts)
 
     def _beginnings(self, held: int, pinned: Sequence[float]) -> list[int]:
-        """Of so many blocks those that begin a window, and those that begin at some times [s]."""
-        at = np.isin(self.begun_at[:held], pinned)
-        return sorted({*range(0, held, self.bench.whole), *np.flatnonzero(at).tolist()})
+        """Of so many blocks those that begin a window, and those that begin at some times [s], or next."""
+        at = np.searchsorted(self.begun_at[:held], np.array(pinned) - 1e-9)
+        inside = np.array(pinned) > self.begun_at[0] - 1e-9
+        return sorted({*range(0, held, self.bench.whole), *at[inside & (at < held)].tolist()})
 
     def nats(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
         """Nats beside what is named; what only acts from a time on in an account cannot have begun before."""
@@ -251,24 +252,26 @@ class Ledger:
         return nats
 
     def begun_within(self, t: float) -> Float[np.ndarray, " times"]:
-        """Where blocks begin that are held, less than a window from a time [s]."""
-        begun = self.begun_at[: self.held]
+        """Where blocks begin that are held, less than a window from a time [s]; but for the first of all."""
+        begun = self.begun_at[int(self.blocks == self.held) : self.held]
         return begun[np.abs(begun - t) < self.bench.length - 1e-9]
 
     def nats_from(self, account: Account, members: Sequence[Member], t: float) -> tuple[Sum, np.ndarray]:
         """What was said from a block on, and nats of every suspect that begins with it.
 
-        Windows apart, a state is known from no suspect. Within one it is where a suspect would have taken it
-        that had acted before, so blocks are filtered without a trace of one.
+        Within a window a state is where a suspect would have taken it that had acted before. So blocks are
+        filtered without a trace of any but of the file's own coefficients, which act anyway, and of members'.
         """
-        own, filed = account.branched(), {*self.suspicions.base.tolist()}
-        unnamed = {*range(len(self.suspicions.columns))} - {one.suspect for one in members}
-        begins = {column for i in unnamed for column in self._columns(i)} - filed
+        own = account.branched()
+        suspects = range(len(self.suspicions.columns))
+        acting = {*self.suspicions.base.tolist(), *(c for m in members for c in self._columns(m.suspect))}
+        begins = {column for i in suspects for column in self._columns(i)} - acting
         own.gates = (*self._gates(account, members), (tuple(sorted(begins)), t))
         self._replay(own)
         since = self.since(own)
-        b = place(since, t)
-        return since[b], self.nats(own, since, members)[:, b]
+        of_members = (since[place(since, m.since)] for m in members)
+        some = [since[0], *of_members, since[place(since, t)]]
+        return some[-1], self.nats(own, some, members)[:, -1]
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""

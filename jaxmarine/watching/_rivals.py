@@ -166,7 +166,7 @@ class Field:
 
         By blocks that are linear about it all the while; then told again from there.
         """
-        times = self.ledger.begun_within(rival.since).tolist()
+        times = self.none.passage.ledger.begun_within(rival.since).tolist()
         if not times:
             return rival
         *model, member = rival.told.members
