@@ -574,8 +574,8 @@ def test_surfaces_lift_in_gazebo_as_in_the_file_at_small_angles(tmp_path, ahead)
     for small in (0.02, 0.01):
         ours, theirs = wrenches(small)
         lift = np.abs(ours[1:3]).max()
-        # Angles of up to 0.04 rad: lift is the same to their square, of which drag is one order more; it turns
-        # the hull by arms of 0.2 m.
+        # Angles of up to 0.04 rad: lift is the same to their square, and drag, which turns the hull by arms
+        # of 0.2 m, is of one order more.
         off = np.abs(ours - theirs)
         assert off[1:3].max() < 2e-3 * lift and off[0] < 0.05 * lift and off[3:].max() < 0.2 * 0.05 * lift
     joint = root.find(".//joint[@name='rudder_joint']/axis/limit")
