@@ -2,16 +2,20 @@
 
 import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
 import pytest
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
+from typer.core import TyperGroup
+from typer.main import get_command
 
 import jaxmarine as jm
 from docs import hooks
 from jaxmarine import CATALOGUE
+from jaxmarine.cli import app
 
 from .conftest import ROOT
 
@@ -48,6 +52,29 @@ def test_links_lead_somewhere(name):
 def test_examples_of_files_are_files(name):
     for text in re.findall(r"^```toml\n(.*?)^```$", (ROOT / name).read_text(), re.MULTILINE | re.DOTALL):
         tomllib.loads(text)
+
+
+def test_commands_that_pages_show_are_those_of_the_command_line():
+    """Each call of `jaxmarine` in a shell block: a command that there is, with options that it has."""
+    known = get_command(app)
+    assert isinstance(known, TyperGroup)
+    seen = set()
+    for name in PAGES:
+        for text in re.findall(r"^```sh\n(.*?)^```$", (ROOT / name).read_text(), re.MULTILINE | re.DOTALL):
+            for line in text.replace("\\\n", " ").splitlines():
+                for words in re.split(r"[|;]|&&", line.partition(" #")[0]):
+                    program, *rest = shlex.split(words) or [""]
+                    if Path(program).name != "jaxmarine":
+                        continue
+                    command = known.commands[rest[0]]
+                    options = {
+                        one for param in command.params for one in (*param.opts, *param.secondary_opts)
+                    }
+                    asked = {word.partition("=")[0] for word in rest[1:] if re.match(r"--?[a-z]", word)}
+                    assert asked <= {*options, "--help"}, (name, line)
+                    seen.add(rest[0])
+    # All of them are shown somewhere.
+    assert seen == {*known.commands}
 
 
 def test_what_one_imports_stands_on_the_page_of_the_api():

@@ -158,6 +158,17 @@ def test_an_actuator_of_ones_own_brakes(folder):
     assert float(run["u"][-1]) == pytest.approx((-20 + (20**2 + 4 * 115 * 80) ** 0.5) / 230, rel=1e-3)
 
 
+def test_a_watch_in_python_is_told_rows_as_the_page_shows(capsys):
+    (text,) = blocks("python", "docs/live.md")
+    craft = jm.load_vehicle(jm.packaged_vehicle("cybership2"))
+    still = {"x": 0.0, "y": 0.0, "psi": 0.1} | dict.fromkeys(craft.command_names, 0.0)
+    rows = [still | {"t": t} for t in (0.0, 0.1, 0.1, 0.2)]
+    left = run(text, {"vehicle": craft, "rows": rows})
+    # A time that comes twice is left out, and said.
+    assert "0.1 s" in capsys.readouterr().out and left["watch"].named == ()
+    assert left["watch"].extended == craft
+
+
 # Of a package with one more line in the table of sensors.
 ONE_MORE = """
 import jax, numpy as np
