@@ -342,7 +342,6 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
     layout, ledger = SimpleNamespace(suspects=("a", "b", "c")), SimpleNamespace(blocks=0, full=False)
     bench = SimpleNamespace(layout=layout, length=4.0, swinging=())
     ledger.bench = bench
-    monkeypatch.setattr(_judge, "LOOK", 4)
     judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=ledger), 0.01)
     judge.bound, judge.estimated_at = 15.0, 80
     decided = []
