@@ -68,6 +68,7 @@ def _small():
     with pytest.MonkeyPatch.context() as patch:
         for module in (_ledger, _passage):
             patch.setattr(module, "CHUNK", 24)
+        patch.setattr(_ledger, "SPARE", 2)
         patch.setattr(_judge, "OPENING", 20)
         yield
 
@@ -252,16 +253,21 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         columns=(np.eye(1),),
     )
     ledger = SimpleNamespace(
-        bench=SimpleNamespace(layout=layout),
+        bench=SimpleNamespace(layout=layout, steps=4),
         suspicions=suspicions,
         accounts=[None],
+        # Blocks of a second, with a sample each quarter.
+        begun_at=np.arange(12.0),
+        held=12,
+        t=12.0,
+        block_of=int,
         since=lambda account: [
             Sum(t, seen, np.zeros(0), np.zeros((0, 0))) for t, seen in ((-np.inf, 1000), (8.0, 400))
         ],
         begun_within=lambda t: np.array([t - 1.0, t, t + 1.0]) if t > -np.inf else np.zeros(0),
         nats_from=lambda account, model, t: (None, [levels.get((t, -0.1), 0.0)]),
     )
-    passages = SimpleNamespace(ledger=ledger)
+    passages = SimpleNamespace(ledger=ledger, rows=SimpleNamespace(t=np.arange(48) / 4))
 
     def told(passage, members, known, account, begins):
         since, first = members[-1].since, float(known[-1])
@@ -296,7 +302,8 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
 
 ALWAYS = -np.inf
 # Of a parameter by the numbers measured since, 3.45 and 3.0 nats.
-PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0), 9.0: 0.5 * np.log(400.0)}
+PRICE = {ALWAYS: 0.5 * np.log(1000.0)} | {t: 0.5 * np.log(400.0) for t in (8.0, 8.5, 9.0, 9.75)}
+BLOCKS = {(7.0, -0.1): 50.0, (8.0, -0.1): 60.0, (9.0, -0.1): 70.0}
 
 
 @pytest.mark.parametrize(
@@ -311,8 +318,11 @@ PRICE = {ALWAYS: 0.5 * np.log(1000.0), 8.0: 0.5 * np.log(400.0), 9.0: 0.5 * np.l
         (ALWAYS, {(ALWAYS, -0.1): 260.0, (ALWAYS, 0.15): 20.0}, ALWAYS, 260.0),
         (8.0, {(8.0, 0.15): 260.0, (ALWAYS, 0.15): 259.0}, ALWAYS, 259.0),
         # Blocks that are linear about it tell when it began.
-        (8.0, {(7.0, -0.1): 50.0, (8.0, -0.1): 60.0, (9.0, -0.1): 70.0}, 9.0, 70.0),
+        (8.0, BLOCKS, 9.0, 70.0),
         (8.0, {(7.0, -0.1): 50.0, (8.0, -0.1): 60.0, (9.0, -0.1): 55.0}, 8.0, 60.0),
+        # To the sample, in the block that suits best or in the one before; not in others.
+        (8.0, {**BLOCKS, (9.75, -0.1): 75.0, (10.5, -0.1): 90.0}, 9.75, 75.0),
+        (8.0, {**BLOCKS, (8.5, -0.1): 75.0, (7.5, -0.1): 90.0}, 8.5, 75.0),
     ],
 )
 def test_a_suspect_is_told_from_where_it_may_be(unchecked, monkeypatch, weighed, levels, since, level):
@@ -390,7 +400,7 @@ def test_blocks_about_an_effect_are_those_of_a_craft_that_has_it(begun):
     rows = passage.rows.part(0, bench.past + bench.steps + 1)
 
     def told(bench, z):
-        window = bench.window(rows, None, LONG, False, 1, z, np.zeros((0, 13)))
+        window = bench.window(rows, bench.steps, None, LONG, False, 1, z, np.zeros((0, 13)))
         return window.line.residual, window.end
 
     for mine, theirs in zip(told(bench, z), told(other, np.zeros(layout.size)), strict=True):
@@ -413,7 +423,7 @@ def test_a_late_sensor_shows_what_was_before_a_block(begun, delay, known):
 
     def told(delay):
         z = delay * bench.layout.columns[suspect][:, 0]
-        window = bench.window(rows, None, LONG, False, 1, z, past)
+        window = bench.window(rows, bench.steps, None, LONG, False, 1, z, past)
         velocity = [bench.channels.index(channel) for channel in (6, 7)]
         by = window.line.residual[:, velocity, :-1] @ bench.layout.columns[suspect][:, 0]
         return window, window.line.residual[:, velocity, -1] + by * delay, by
@@ -444,7 +454,8 @@ def test_what_fluids_remember_hangs_on_the_past_alone(begun):
 
     def slopes(channels, trail):
         here = dataclasses.replace(rows, channels=channels)
-        return bench.window(here, start, 0.0, True, 1, np.zeros(bench.layout.size), trail).end[:, :-1]
+        window = bench.window(here, bench.steps, start, 0.0, True, 1, np.zeros(bench.layout.size), trail)
+        return window.end[:, :-1]
 
     own = slopes(rows.channels, faster)
     np.testing.assert_array_equal(own, slopes(other, faster))
@@ -541,15 +552,49 @@ def test_rows_told_again_from_a_time_on_say_what_they_do_told_again_as_a_whole(b
     since = float(np.interp(after, np.arange(15), begun_at[:15]))
     told = np.append(np.zeros(base), -0.4), (Member(suspect, since),)
     whole = passage.again(*told, stronger)
+    split = int(after % 1 > 0)
     for _ in range(2):  # anew, and from what was remembered
         part = none.again(*told, stronger, since)
-        assert part.ledger.held == passage.ledger.held and part.ledger.blocks == passage.ledger.blocks
+        assert part.ledger.held == passage.ledger.held + split
+        assert part.ledger.blocks == passage.ledger.blocks + split
         assert part.ledger.t == whole.ledger.t
         np.testing.assert_array_equal(part.rows.t[-20:], whole.rows.t[-20:])
         for mine, theirs in zip(part.ledger.accounts[0].said, whole.ledger.accounts[0].said, strict=True):
             np.testing.assert_allclose(mine, theirs, rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(part.course.begun.state, whole.course.begun.state, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(part.course.trail, whole.course.trail, rtol=1e-9, atol=1e-9)
+
+
+def test_a_block_within_which_something_begins_is_told_as_two(begun):
+    """Where nothing acts otherwise the two say what the one did; samples that fill them say nothing.
+
+    But for what is linear about a path that begins anew amid the block: of this boat half a hundredth.
+    """
+    passage = begun.parts.passage
+    bench, ledger, account = passage.bench, passage.ledger, passage.ledger.accounts[0]
+    held, base = ledger.held, len(bench.base)
+    suspect = [one.label for one in bench.layout.suspects].index("thruster_gain:port")
+    since = float(passage.rows.t[34])
+    k = ledger.block_of(since)
+    assert ledger.begun_at[k] + 1.5 * bench.dt < since < ledger.begun_at[k + 1] - 0.5 * bench.dt
+    whole = passage.again(np.zeros(base), (), account).ledger
+    split = passage.again(np.zeros(base + 1), (Member(suspect, since),), account).ledger
+    assert split.held == held + 1 and split.begun_at[k + 1] == since
+    np.testing.assert_array_equal(np.delete(split.begun_at[: held + 1], k + 1), ledger.begun_at[:held])
+    assert split.counts[k : k + 2].sum() == ledger.counts[k]
+    filled = bench.steps - bench.lasting(split.windows)[: held + 1].sum(axis=1)
+    assert filled.sum() == filled[k : k + 2].sum() == bench.steps
+    told, before = (
+        [one[: ledger.held].sum(axis=0) for one in ledger.accounts[0].said] for ledger in (split, whole)
+    )
+    filed = np.array([one.index for one in bench.base])
+    assert told[0] == pytest.approx(before[0], abs=0.01)
+    size = np.sqrt(np.diag(before[2])[filed])
+    np.testing.assert_allclose(told[1][filed] / size, before[1][filed] / size, atol=0.005)
+    both = np.ix_(filed, filed)
+    np.testing.assert_allclose(
+        told[2][both] / np.outer(size, size), before[2][both] / np.outer(size, size), atol=0.005
+    )
 
 
 def test_a_swell_that_keeps_in_step_starts_as_the_wave_that_pushes_so(unchecked):

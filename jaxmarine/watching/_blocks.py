@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from .._compiled import compiled
@@ -67,6 +67,8 @@ PAST = 10.0
 LONG = 1e6
 # Rows before and behind those of a block by which its beginning is smoothed where it is as measured [s].
 AROUND = 0.5
+# Of a sample's time, how long each of those takes that fill a block which ends early.
+INSTANT = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,6 +93,14 @@ class Rows:
 
     def part(self, first: int | None, end: int | None = None) -> "Rows":
         return Rows(*(one[first:end] for one in self.arrays))
+
+    def filled(self, count: int, dt: float) -> "Rows":
+        """So many rows more that take no time: from the last one on, nothing is measured."""
+        rows = np.minimum(np.arange(len(self) + count), len(self) - 1)
+        t, channels, commands, wrench = (one[rows] for one in self.arrays)
+        t[len(self) :] += INSTANT * dt * np.arange(1, count + 1)
+        channels[len(self) - 1 :] = np.nan
+        return Rows(t, channels, commands, wrench)
 
     @staticmethod
     def joined(*parts: "Rows") -> "Rows":
@@ -225,6 +235,10 @@ class Bench:
         """Of the prior on the file's coefficients."""
         return np.array([c.prior**-2.0 for c in self.base])
 
+    def lasting(self, windows: Windowed) -> Bool[np.ndarray, "*blocks steps"]:
+        """Which samples of blocks are none that only fill them."""
+        return np.asarray(windows.line.dt) > 2 * INSTANT * self.dt
+
     def split(self, speed: Float[np.ndarray, "6"]) -> int:
         """Integration steps per sample, at the fastest that the craft goes."""
         return substeps(self.vehicle, self.dt, speed)
@@ -232,6 +246,7 @@ class Bench:
     def window(
         self,
         rows: Rows,
+        count: int,
         begun: "Begun | None",
         gap: float,
         joined: bool,
@@ -242,12 +257,14 @@ class Bench:
         """A block as a linear system.
 
         - `rows`: what there is of `past` rows before it, its own, and one more, that ends its last hold.
+        - `count`: of its own; those to come fill it where they are fewer than `steps`.
         - `begun`: what all before it lets one expect; None: as measured. `gap`, `joined`: see `Disturbance`.
         - `z`: which parameters it is linear about; it tells of them all as seen from neutral.
         - `trail`: where the craft was expected at the samples before, as far as the stretch goes back.
         """
-        begun = self._measured(rows, z) if begun is None else begun
-        seen = self._seen(rows, begun, trail)
+        begun = self._measured(rows, count, z) if begun is None else begun
+        missing = self.steps - count
+        seen = self._seen(rows.filled(missing, self.dt) if missing else rows, begun, trail)
         force = dataclasses.replace(self.usual, gap=jnp.array([gap]), joined=jnp.array([joined]))
         affine = dataclasses.replace(self.about_neutral, theta=jnp.asarray((self.layout.neutral + z)[None]))
         kit = self.saturated, self.start, self.channels, self.vehicle.axes
@@ -289,9 +306,9 @@ class Bench:
             np.array(len(known)),
         )
 
-    def _measured(self, rows: Rows, z: Float[np.ndarray, " z"]) -> "Begun":
+    def _measured(self, rows: Rows, count: int, z: Float[np.ndarray, " z"]) -> "Begun":
         """Where a block begins, as measured by sensors at z: its rows and one more are the last."""
-        first = len(rows.t) - self.steps - 1
+        first = len(rows.t) - count - 1
         around = max(0, first - round(AROUND / self.dt))
         near = rows.part(around)
         track = smooth_states(near.log(self.vehicle, False, "rows"), self.vehicle.dof)

@@ -15,8 +15,8 @@ class Course:
     - `rows`: what a block needs of the past, and what is to come; `waiting`: behind them, not joined yet.
       `next`: where the next block begins in them.
     - `begun`: what is expected there, None: not known yet, and so as measured. `gap` [s]: to the block
-      before. `within`: blocks of this stretch so far; `trail`: position, quaternion and velocity that
-      were expected at the samples of the last ones.
+      before. `within`: samples of this stretch in blocks so far; `trail`: position, quaternion and velocity
+      that were expected at the last of them.
     - `speed` [m/s, rad/s]: the fastest that integration steps are made for, `split` of them per sample.
     """
 
@@ -57,38 +57,43 @@ class Course:
             self.split = self.bench.split(self.speed)
 
     def cut(self, about: Acting) -> tuple[Windowed, Rows] | None:
-        """The next block, linear about what acts in it, and its rows; None where there are not enough yet."""
+        """The next block, linear about what acts in it, and its rows; None where there are not enough yet.
+
+        Where something begins to act within a block, that is told as two.
+        """
         bench = self.bench
         ready = (0 if self.rows is None else len(self.rows)) + len(self.waiting)
-        if ready < self.next + bench.steps + 1:
+        left = bench.steps - self.within % bench.steps
+        if ready < self.next + left + 1:
             return None
         some = [] if self.rows is None else [self.rows]
         rows = Rows.joined(*some, *self.waiting)
         drop = max(0, self.next - bench.past)
         self.rows, self.waiting, self.next = rows.part(drop), [], self.next - drop
+        own = self.rows.part(self.next, self.next + left)
+        begins = np.searchsorted(own.t, [since - 1e-9 for since, _ in about.parts])
+        count = int(begins[begins > 0].min(initial=left))
         # The row behind a block ends its last hold.
-        end = self.next + bench.steps
-        own = self.rows.part(self.next, end)
-        self.quicken(own)
-        joined = self.within % bench.whole > 0
-        z = about.at(own.t[0])
+        rows, end = self.rows, self.next + count
+        self.quicken(own.part(0, count))
+        joined = self.within % (bench.whole * bench.steps) > 0
+        z, own = about.at(own.t[0]), rows.part(self.next, end + 1)
         window = bench.window(
-            self.rows.part(0, end + 1), self.begun, self.gap, joined, self.split, z, self.trail
+            rows.part(0, end + 1), count, self.begun, self.gap, joined, self.split, z, self.trail
         )
-        return window, self.rows.part(self.next, end + 1)
+        return window, own
 
-    def go_to(self, past: list[Rows], begun: Begun, states: Float[np.ndarray, "blocks steps 13"]) -> None:
-        """To where so many blocks of a stretch end, behind some rows before, where so much is expected."""
-        self.waiting, self.next = past, len(past) - self.bench.steps
-        self.within = len(states) - 1
-        self.go_on(begun, states.reshape(-1, 13))
+    def go_to(self, past: list[Rows], begun: Begun, states: Float[np.ndarray, "samples 13"]) -> None:
+        """Behind some rows and so many samples in blocks of a stretch, where so much is expected."""
+        self.waiting, self.next = past, len(past) - len(states)
+        self.go_on(begun, states)
 
-    def go_on(self, begun: Begun, states: Float[np.ndarray, "steps 13"]) -> None:
+    def go_on(self, begun: Begun, states: Float[np.ndarray, "samples 13"]) -> None:
         """To the next block, where so much is expected, from one with such states."""
         self.begun, self.gap = begun, 0.0
         trail = np.concatenate([self.trail, states])
         self.trail = trail[max(0, len(trail) - self.bench.past) :]
-        self.within, self.next = self.within + 1, self.next + self.bench.steps
+        self.within, self.next = self.within + len(states), self.next + len(states)
 
 
 def _speeds(rows: Rows) -> Float[np.ndarray, "6"]:

@@ -34,6 +34,8 @@ from ._evidence import Acting, Member, Sum, Suspicions, place
 
 # Blocks that are let go at once; twice as many are held at most.
 CHUNK = 80
+# Of these, how many are left for blocks that are told as two, as something begins within them.
+SPARE = 8
 # Beginnings before the blocks that are held, at most.
 KEPT = 24
 # Variance of the logarithms of sizes and memories before anything is known of them.
@@ -203,7 +205,7 @@ class Ledger:
 
     @property
     def full(self) -> bool:
-        return self.held == 2 * CHUNK
+        return self.held >= 2 * CHUNK - SPARE
 
     def add(self, window: Windowed, begins: float, ends: float, count: int) -> Begun | None:
         """Filters one more block in which so many numbers were measured; where it leaves the craft.
@@ -236,10 +238,13 @@ class Ledger:
         return since_each(account, first, self.begun_at[: self.held], self.counts)
 
     def _beginnings(self, held: int, pinned: Sequence[float]) -> list[int]:
-        """Of so many blocks those that begin a window, and those that begin at some times [s], or next."""
-        at = np.searchsorted(self.begun_at[:held], np.array(pinned) - 1e-9)
-        inside = np.array(pinned) > self.begun_at[0] - 1e-9
-        return sorted({*range(0, held, self.bench.whole), *at[inside & (at < held)].tolist()})
+        """Of so many blocks those that begin a window, and those within which some times [s] lie."""
+        at = {self.block_of(t) for t in pinned if t > self.begun_at[0] - 1e-9}
+        return sorted({*range(0, held, self.bench.whole), *(k for k in at if k < held)})
+
+    def block_of(self, t: float) -> int:
+        """The last block that is held and begins no later than a time [s], or the first."""
+        return max(int(np.searchsorted(self.begun_at[: self.held], t + 1e-9, side="right")) - 1, 0)
 
     def nats(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> np.ndarray:
         """Nats beside what is named; what only acts from a time on in an account cannot have begun before."""
@@ -257,7 +262,7 @@ class Ledger:
         return begun[np.abs(begun - t) < self.bench.length - 1e-9]
 
     def nats_from(self, account: Account, members: Sequence[Member], t: float) -> tuple[Sum, np.ndarray]:
-        """What was said from a block on, and nats of every suspect that begins with it.
+        """What was said from a time [s] on, and nats of every suspect that begins then.
 
         Within a window a state is where a suspect would have taken it that had acted before. So blocks are
         filtered without a trace of any but of the file's own coefficients, which act anyway, and of members'.
@@ -270,8 +275,8 @@ class Ledger:
         self._replay(own)
         since = self.since(own)
         of_members = (since[place(since, m.since)] for m in members)
-        some = [since[0], *of_members, since[place(since, t)]]
-        return some[-1], self.nats(own, some, members)[:, -1]
+        begun = since[place(since, float(self.begun_at[self.block_of(t)]))]._replace(t=t)
+        return begun, self.nats(own, [since[0], *of_members, begun], members)[:, -1]
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
@@ -488,10 +493,16 @@ def closed(message: Message, columns: list[int]) -> Message:
 
 
 def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: Sequence[Gate]) -> Windowed:
-    """One block or several without a trace of what has not begun in them."""
+    """One block or several without a trace of what has not begun in them.
+
+    What begins within a block acts as much there as it is long behind that.
+    """
+    lasts = np.asarray(blocks.line.dt).sum(axis=-1)
     for columns, since in gates:
         acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
-        acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
+        # To six digits, as the end of a block is not quite the beginning of the next.
+        share = np.round((begun_at + lasts - since) / lasts, 6)
+        acts[..., list(columns)] = np.clip(share, 0.0, 1.0)[..., None]
         line = dataclasses.replace(blocks.line, residual=blocks.line.residual * acts[..., None, None, :])
         blocks = dataclasses.replace(blocks, line=line, end=blocks.end * acts[..., None, :])
     return blocks

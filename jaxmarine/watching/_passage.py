@@ -55,7 +55,7 @@ class Passage:
                 self.course.interrupt(LONG)
                 yield f"The craft runs away from what is expected at t = {rows.t[0]:g} s; motion begins anew."
             else:
-                self.course.go_on(begun, np.asarray(window.states))
+                self.course.go_on(begun, np.asarray(window.states)[: len(rows) - 1])
                 yield None
 
     @property
@@ -82,10 +82,10 @@ class Passage:
         Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
         what is expected.
 
-        - `since` [s]: blocks that begin before that stay as they are, as nothing acts otherwise there. Only
+        - `since` [s]: blocks that end before that stay as they are, as nothing acts otherwise there. Only
           where this passage was told again itself.
         """
-        first = int(np.searchsorted(self.ledger.begun_at[: self.ledger.held - 1], since - 1e-9))
+        first = self.ledger.block_of(since)
         out = Passage(self.course.anew(), self.ledger.anew(known, members, account, first), self.columns)
         begins = self.ledger.begun_at[0] - (out.course.next + 0.5) * self.bench.dt
         rows = [(one, set_back) for one, set_back in self.recent if one.t[0] > begins]
@@ -111,10 +111,10 @@ class Passage:
             self.course.interrupt(float(told.windows.gap[first]))
             self.recent.extend(rows[: here - self.course.next])
             return
-        within = first - int(np.flatnonzero(np.asarray(told.windows.gap[:first])).max())
-        count = min(self.course.next + within * self.bench.steps, self.bench.past)
+        stretch = slice(int(np.flatnonzero(np.asarray(told.windows.gap[:first])).max()), first)
+        states = np.asarray(told.windows.states)[stretch][self.bench.lasting(told.windows)[stretch]]
+        count = min(self.course.next + len(states), self.bench.past)
         past = rows[max(here - count, 0) : here]
-        states = np.asarray(told.windows.states[first - within : first])
         self.course.go_to([one.driven(self.columns) for one, _ in past], self.ledger.begun(), states)
         self.recent.extend(rows[:here])
 

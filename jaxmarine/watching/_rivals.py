@@ -15,12 +15,14 @@ from ..diagnosis import Criteria
 from ..vehicle import Placed
 from ._anew import Told, exchanged, possible, promised, starts, tell
 from ._evidence import Member, place
-from ._ledger import Account, Ledger
+from ._ledger import SPARE, Account, Ledger
 from ._passage import Passage
 from ._swell import stilled, waves
 
 # Of what the best has, what another must promise to be told about again [nats].
 HOPEFUL = 0.5
+# Times within a block at which a suspect may begin, about.
+PARTS = 4
 
 
 class Weighed(NamedTuple):
@@ -162,9 +164,10 @@ class Field:
                 return
 
     def _as_begun(self, rival: Rival) -> Rival:
-        """A suspect from the block on, less than a window from its beginning, that suits it best.
+        """A suspect from the time on, less than a window from its beginning, that suits it best.
 
-        By blocks that are linear about it all the while; then told again from there.
+        By blocks that are linear about it all the while; then told again from there. First with the block
+        that suits it best, then within that and the one before.
         """
         times = self.none.passage.ledger.begun_within(rival.since).tolist()
         if not times:
@@ -175,13 +178,32 @@ class Field:
         if told is None:
             return rival
         ledger, account = told.passage.ledger, told.account
-        best = max(times, key=lambda t: ledger.nats_from(account, model, t)[1][member.suspect])
+
+        def suits(t: float) -> float:
+            return ledger.nats_from(account, model, t)[1][member.suspect]
+
+        best = max(times, key=suits)
+        best = max([best, *self._within(best, times[0])], key=suits)
         begun = member._replace(since=best)
         if begun == member:
             return rival
         z = self.ledger.suspicions.parts_of(rival.told.known, rival.told.members)[-1]
         found = self._begun(begun, [z], rival.told.account, rival.compared)
         return max([rival, *found], key=lambda one: one.compared)
+
+    def _within(self, t: float, first: float) -> list[float]:
+        """Some samples [s] within the block that begins at a time, and within that before, from the first on.
+
+        So near that a cause acts wrongly for no longer than an eighth of a block.
+        """
+        if len(self.members) >= SPARE:
+            return []
+        ledger, rows = self.none.passage.ledger, self.none.passage.rows.t
+        k = ledger.block_of(t)
+        begins = ledger.begun_at[max(k - 1, 0)]
+        ends = ledger.begun_at[k + 1] if k + 1 < ledger.held else ledger.t
+        every = max(1, ledger.bench.steps // PARTS)
+        return rows[(rows > max(begins, first)) & (rows < ends)][every - 1 :: every].tolist()
 
     def _as_ever(self, rival: Rival) -> Rival:
         """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""
