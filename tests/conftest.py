@@ -16,24 +16,11 @@ from xdist.scheduler import LoadScopeScheduling
 
 import tests.typed
 
-# Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
-# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not, `networks`, in
-# which Equinox wraps leaves while it puts others in their place, vehicle files, whose tables are made at
-# reading, and what each step of a simulation calls, by which tests of it would take 15 % longer.
-UNCHECKED = (
-    "fitting",
-    "networks",
-    "vehicle_file",
-    "vehicle_io",
-    "actuators",
-    "allocation",
-    "effects",
-    "vehicle",
-)
+# Shapes and types are checked at every call into all rooms, in tests only and before anything is imported.
 CHECKED = [
     f"jaxmarine.{path.stem}"
     for path in sorted((Path(__file__).resolve().parent.parent / "jaxmarine").iterdir())
-    if not path.name.startswith("_") and path.stem not in UNCHECKED
+    if not path.name.startswith("_")
 ]
 jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 

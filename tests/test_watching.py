@@ -342,6 +342,9 @@ def test_a_suspect_that_rows_do_not_bear_out_is_no_rival(unchecked, monkeypatch)
         # Once there are twice as many, 16 blocks from one time to the next at least; then patience holds.
         (lambda block: 20.0 if block < 108 else 50.0, [100, 116, 180]),
         (lambda block: 20.0 if block < 124 else 40.0, [100, 124, 188]),
+        # Once another is within 3 nats of the best, or no longer, likewise, or in a quarter of patience.
+        (lambda block: (20.0, 17.5 if block >= 108 else 0.0), [100, 116, 180]),
+        (lambda block: (20.0, 17.5 * (108 <= block < 120)), [100, 116, 132]),
         # Nothing is sure, or no longer: patience begins anew.
         (lambda block: 10.0, []),
         (lambda block: 20.0 if block < 104 or block >= 200 else 10.0, [100, 200, 232]),
@@ -357,7 +360,8 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
     decided = []
 
     def weigh():
-        nats = np.array([[grows(ledger.blocks), 0.0], [0.0, 0.0], [0.0, 0.0]])
+        best, next_best = np.broadcast_to(grows(ledger.blocks), 2) * [1.0, np.ndim(grows(ledger.blocks))]
+        nats = np.array([[best, 0.0], [next_best, 0.0], [0.0, 0.0]])
         zero = np.zeros(0), np.zeros((0, 0))
         return [Sum(-np.inf, 1000, *zero), Sum(8.0, 500, *zero)], nats
 
@@ -368,7 +372,8 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
     for ledger.blocks in range(100, 240, 4):
         judge._look()
     assert [block for block, _ in decided] == asked
-    assert all(some == [Member(0, -np.inf), Member(2, 8.5)] for _, some in decided)
+    best = ([one for one in some if one.suspect != 1] for _, some in decided)
+    assert all(some == [Member(0, -np.inf), Member(2, 8.5)] for some in best)
 
 
 # --- blocks that are linear about something ------------------------------------------------------
@@ -495,26 +500,27 @@ def test_rows_that_are_told_again_about_the_same_say_the_same(begun):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("named", [(), ("thruster_gain:port",)])
-def test_who_begins_within_a_window_is_in_nothing_before(begun, named):
+@pytest.mark.parametrize(("named", "missed"), [((), 0), (("thruster_gain:port",), 0), ((), 2)])
+def test_who_begins_within_a_window_is_in_nothing_before(begun, named, missed):
     """As blocks tell it that were without a trace of any suspect before, one after the other.
 
-    What is named acts all the while, though others may have columns of its own: all thrusters together.
+    What is named acts all the while, though others may have columns of its own: all thrusters together. Who
+    misses some samples of a block is in the rest of it.
     """
     ledger = begun.parts.passage.ledger
     bench, first = ledger.bench, ledger.bench.whole + 3
     labels = [one.label for one in bench.layout.suspects]
     members = [Member(labels.index(one), -np.inf) for one in named]
     own = [np.flatnonzero(ledger.suspicions.columns[one.suspect].any(axis=1)) for one in members]
-    begins = float(ledger.begun_at[first])
+    begins = float(ledger.begun_at[first]) + missed * bench.dt
     near = ledger.begun_at[first - bench.whole + 1 : first + bench.whole]
-    np.testing.assert_array_equal(ledger.begun_within(begins), near)
+    np.testing.assert_array_equal(ledger.begun_within(float(ledger.begun_at[first])), near)
     filed = [one.index for one in bench.base]
     after = _ledger.Ledger(bench)
     for k in range(ledger.held):
         window = jax.tree.map(lambda a, k=k: a[k], ledger.windows)
-        if k < first:
-            acts = np.zeros(window.end.shape[-1])
+        if k < first + bool(missed):
+            acts = np.full(window.end.shape[-1], 1.0 - missed / bench.steps if k == first else 0.0)
             acts[[*filed, *np.concatenate([*own, []]).astype(int), -1]] = 1.0
             line = dataclasses.replace(window.line, residual=window.line.residual * acts)
             window = dataclasses.replace(window, line=line, end=window.end * acts)

@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._errors import InputError
 from .._progress import FITTING, Progress, silent
-from .._types import ALL_CHANNELS, BATTERY
-from ..effects import AbstractEffect, Voltage
+from .._types import ALL_CHANNELS
+from ..effects import AbstractEffect
 from ..fitting import (
     AbstractShares,
     Cut,
@@ -50,6 +50,7 @@ from ._prepare import (
 )
 from ._saturated import saturate
 from ._score import AbstractStatistics, Reduced
+from ._supplied import lacks_battery
 from ._workbench import SPARSEST, Workbench, same_log
 
 Result = TypeVar("Result")
@@ -191,8 +192,8 @@ def _allowed(
     wrong = [sentence for look in looks for sentence in look.wrong]
     if wrong:
         raise InputError(f"{_several(names)}: {wrong[0].rstrip('.')}; mend it first, or {_ONE_PROCESS}.")
-    asked = Voltage in catalogue and vehicle.thruster_names and BATTERY not in vehicle.command_names
-    if asked and all(look.supplied for look in looks) and all(map(_supplied, tests)):
+    voltage = all(look.supplied for look in looks) and all(map(_supplied, tests))
+    if voltage and lacks_battery(vehicle, catalogue):
         raise InputError(
             f"{vehicle.name}: has no battery in its file, but {_several(names)} have its voltage, on which "
             f"its thrust may hang; leave `Voltage` out of the catalogue, or {_ONE_PROCESS}."

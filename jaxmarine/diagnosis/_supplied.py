@@ -13,6 +13,11 @@ from ..networks import LearnedTerm
 from ..vehicle import Vehicle
 
 
+def lacks_battery(vehicle: Vehicle, catalogue: Sequence[type[AbstractEffect]]) -> bool:
+    """Whether the effect `voltage` is suspected of a vehicle with thrusters whose file knows no battery."""
+    return Voltage in catalogue and bool(vehicle.thruster_names) and BATTERY not in vehicle.command_names
+
+
 def supplied(
     vehicle: Vehicle,
     train: Sequence[Log],
@@ -24,9 +29,8 @@ def supplied(
     As it is where that is not suspected, where not every log has the voltage beside commands, and where it
     never changes. The nominal voltage is the mean over the training logs.
     """
-    asked = Voltage in catalogue and vehicle.thruster_names and BATTERY not in vehicle.command_names
     volts = [log.battery for log in (*train, *test) if log.commands is not None and log.battery is not None]
-    if not asked or len(volts) < len(train) + len(test):
+    if not lacks_battery(vehicle, catalogue) or len(volts) < len(train) + len(test):
         return vehicle
     seen = np.concatenate(volts[: len(train)])
     if np.ptp(seen) == 0 or seen.min() <= 0:

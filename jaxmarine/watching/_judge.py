@@ -49,8 +49,9 @@ class Judge:
     - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
-    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats; they are again once
-      there are twice as many, or after `patience` blocks, which doubles each time until all is quiet.
+    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats, when `asked_about` led;
+      they are again after `patience` blocks, which doubles each time until all is quiet, or in a quarter of
+      it, as rows may tell them apart, once there are twice as many or others lead.
     - `swell_at`, `calm`: likewise of a swell that may be a wave, which need not ever be quiet; `in_step`:
       whether it was one when all rows at hand were last asked.
     """
@@ -66,7 +67,7 @@ class Judge:
         self.undecided: tuple[str, ...] = ()
         self.nats: np.ndarray | None = None
         self.estimated_at, self.asked_at, self.patience = -1, -MOST_PATIENT, PATIENCE
-        self.asked_with = 0.0
+        self.asked_with, self.asked_about = 0.0, list[int]()
         self.swell_at, self.calm, self.in_step = -MOST_PATIENT, PATIENCE, False
 
     @property
@@ -153,9 +154,8 @@ class Judge:
         sure, swinging = self.nats.max() >= self.bound, self._swinging()
         if not sure and waited >= PATIENCE:
             self.undecided, self.patience = (), PATIENCE
-        # Rows that tell twice as much may tell two apart.
-        told_more = rested >= PATIENCE and self.nats.max() >= 2 * self.asked_with
-        sure = sure and (rested >= self.patience or told_more)
+        told_more = self.nats.max() >= 2 * self.asked_with or self._leaders() != self.asked_about
+        sure = sure and rested >= (max(PATIENCE, self.patience // 4) if told_more else self.patience)
         if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
         if swinging:
@@ -169,9 +169,14 @@ class Judge:
             since, table = self._weigh()
             self.nats = table.max(axis=1)
             suspected += hopeful(since, table)
-        self.asked_with = float(self.nats.max())
+        self.asked_with, self.asked_about = float(self.nats.max()), self._leaders()
         suspected += self._closely(since, table)
         return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
+
+    def _leaders(self) -> list[int]:
+        """Suspects that explain the blocks alike and best, as they were last weighed."""
+        assert self.nats is not None
+        return np.flatnonzero(self.nats > self.nats.max() - Criteria().close).tolist()
 
     def _swinging(self) -> bool:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
@@ -244,7 +249,7 @@ class Judge:
     def _name(self, best: Rival) -> list[str]:
         """Takes a suspect into the model, which goes on linear about it."""
         # What is left has nats of its own.
-        self.undecided, self.asked_with = (), 0.0
+        self.undecided, self.asked_with, self.asked_about = (), 0.0, []
         self.passage.adopt(best.told.passage)
         self.members, self.estimated_at = best.told.members, self.ledger.blocks
         numbers = {} if best.exchanged else self.parameters(len(self.members) - 1)

@@ -35,7 +35,16 @@ FORMAT = 8
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
-_JUDGE = ("estimated_at", "asked_at", "asked_with", "patience", "swell_at", "calm", "in_step")
+_JUDGE = (
+    "estimated_at",
+    "asked_at",
+    "asked_with",
+    "asked_about",
+    "patience",
+    "swell_at",
+    "calm",
+    "in_step",
+)
 
 
 class Kept:
