@@ -58,7 +58,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 def test_the_steps_of_a_diagnosis_name_its_modules():
-    steps = page("docs/diagnosis.md").partition("## Diagnosis, step by step")[2].partition("\n#")[0]
+    steps = page("docs/diagnosis.md").partition("## Diagnosis, step by step")[2].partition("\n## ")[0]
     modules = {path.name for path in (ROOT / "jaxmarine" / "diagnosis").glob("_[a-z]*.py")}
     # What the answer consists of, and how a plan is made, are no steps of a diagnosis.
     told = set(re.findall(r"`(_\w+\.py)`", steps)) | {"_result.py", "_plan.py"}
