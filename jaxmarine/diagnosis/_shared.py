@@ -192,8 +192,8 @@ def _allowed(
     wrong = [sentence for look in looks for sentence in look.wrong]
     if wrong:
         raise InputError(f"{_several(names)}: {wrong[0].rstrip('.')}; mend it first, or {_ONE_PROCESS}.")
-    voltage = all(look.supplied for look in looks) and all(map(_supplied, tests))
-    if voltage and lacks_battery(vehicle, catalogue):
+    supplied = all(look.supplied for look in looks) and all(map(_supplied, tests))
+    if supplied and lacks_battery(vehicle, catalogue):
         raise InputError(
             f"{vehicle.name}: has no battery in its file, but {_several(names)} have its voltage, on which "
             f"its thrust may hang; leave `Voltage` out of the catalogue, or {_ONE_PROCESS}."

@@ -80,14 +80,15 @@ def promised(
     known: Float[np.ndarray, " known"],
     account: Account,
     since: float = -np.inf,
+    cuts: Sequence[float] = (),
 ) -> Told | None:
     """Tells the rows at hand once about members with known numbers, beside the disturbance of an account.
 
     What the slopes there promise; None where the craft runs away.
 
-    - `since`: as of `Passage.again`.
+    - `since`, `cuts`: as of `Passage.again`.
     """
-    again = passage.again(known, members, account, since)
+    again = passage.again(known, members, account, since, cuts)
     if again is None:
         return None
     return estimated(Told(again, tuple(members), known, -np.inf), known)

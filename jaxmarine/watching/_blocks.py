@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from .._compiled import compiled
@@ -67,8 +67,9 @@ PAST = 10.0
 LONG = 1e6
 # Rows before and behind those of a block by which its beginning is smoothed where it is as measured [s].
 AROUND = 0.5
-# Of a sample's time, how long each of those takes that fill a block which ends early.
-INSTANT = 1e-6
+# Of a sample's time, how long each of those takes that fill a block which ends early, and of what rounding
+# leaves of large times at least.
+INSTANT, ROUNDED = 1e-6, 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,11 +96,15 @@ class Rows:
         return Rows(*(one[first:end] for one in self.arrays))
 
     def filled(self, count: int, dt: float) -> "Rows":
-        """So many rows more that take no time: from the last one on, nothing is measured."""
-        rows = np.minimum(np.arange(len(self) + count), len(self) - 1)
+        """So many rows more that take no time: from the last one on, nothing is measured.
+
+        And nothing new is commanded: what begins with the last row is told by the block that does.
+        """
+        end = len(self) - 1
+        rows = np.minimum(np.arange(len(self) + count), end)
         t, channels, commands, wrench = (one[rows] for one in self.arrays)
-        t[len(self) :] += INSTANT * dt * np.arange(1, count + 1)
-        channels[len(self) - 1 :] = np.nan
+        t[end:] += max(INSTANT * dt, ROUNDED * np.spacing(abs(t[-1]))) * np.arange(count + 1)
+        channels[end:], commands[end:], wrench[end:] = np.nan, commands[end - 1], wrench[end - 1]
         return Rows(t, channels, commands, wrench)
 
     @staticmethod
@@ -235,10 +240,6 @@ class Bench:
         """Of the prior on the file's coefficients."""
         return np.array([c.prior**-2.0 for c in self.base])
 
-    def lasting(self, windows: Windowed) -> Bool[np.ndarray, "*blocks steps"]:
-        """Which samples of blocks are none that only fill them."""
-        return np.asarray(windows.line.dt) > 2 * INSTANT * self.dt
-
     def split(self, speed: Float[np.ndarray, "6"]) -> int:
         """Integration steps per sample, at the fastest that the craft goes."""
         return substeps(self.vehicle, self.dt, speed)
@@ -330,6 +331,19 @@ class Bench:
         )
         nothing = jnp.zeros(()), jnp.zeros((), bool)
         return Windowed(line, jnp.zeros((self.steps, 13)), jnp.zeros((13, columns)), jnp.zeros(12), *nothing)
+
+
+class Place(NamedTuple):
+    """Of a block: where it begins and ends [s], and how many numbers were `seen` in it.
+
+    - `samples`: its own, without those that fill it; `within`: those of its stretch before it.
+    """
+
+    begins: float
+    ends: float
+    seen: int
+    samples: int
+    within: int
 
 
 class Begun(NamedTuple):

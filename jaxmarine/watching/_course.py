@@ -70,23 +70,28 @@ class Course:
         rows = Rows.joined(*some, *self.waiting)
         drop = max(0, self.next - bench.past)
         self.rows, self.waiting, self.next = rows.part(drop), [], self.next - drop
-        own = self.rows.part(self.next, self.next + left)
-        begins = np.searchsorted(own.t, [since - 1e-9 for since, _ in about.parts])
+        t = self.rows.t[self.next : self.next + left]
+        begins = np.searchsorted(t, [since - 1e-9 for since, _ in about.parts])
         count = int(begins[begins > 0].min(initial=left))
         # The row behind a block ends its last hold.
-        rows, end = self.rows, self.next + count
-        self.quicken(own.part(0, count))
-        joined = self.within % (bench.whole * bench.steps) > 0
-        z, own = about.at(own.t[0]), rows.part(self.next, end + 1)
-        window = bench.window(
-            rows.part(0, end + 1), count, self.begun, self.gap, joined, self.split, z, self.trail
-        )
-        return window, own
+        end = self.next + count
+        block = self.rows.part(self.next, end + 1)
+        self.quicken(block.part(0, count))
+        # Where a stretch begins any state is allowed, as after a window.
+        joined = self.begun is not None and self.within % (bench.whole * bench.steps) > 0
+        rows, z = self.rows.part(0, end + 1), about.at(t[0])
+        window = bench.window(rows, count, self.begun, self.gap, joined, self.split, z, self.trail)
+        return window, block
 
-    def go_to(self, past: list[Rows], begun: Begun, states: Float[np.ndarray, "samples 13"]) -> None:
-        """Behind some rows and so many samples in blocks of a stretch, where so much is expected."""
-        self.waiting, self.next = past, len(past) - len(states)
-        self.go_on(begun, states)
+    def go_to(
+        self, past: list[Rows], begun: Begun, states: Float[np.ndarray, "samples 13"], within: int
+    ) -> None:
+        """Behind some rows, where so much is expected, and so many samples of a stretch are in blocks.
+
+        - `states`: at those of them that are at hand.
+        """
+        self.waiting, self.next, self.within = past, len(past), within
+        self.begun, self.gap, self.trail = begun, 0.0, states[-self.bench.past :]
 
     def go_on(self, begun: Begun, states: Float[np.ndarray, "samples 13"]) -> None:
         """To the next block, where so much is expected, from one with such states."""

@@ -52,6 +52,10 @@ class Acting(NamedTuple):
 
     parts: tuple[tuple[float, Float[np.ndarray, " z"]], ...]
 
+    def cut(self, times: Sequence[float]) -> "Acting":
+        """The same, told as if nothing began at some times [s]."""
+        return Acting((*self.parts, *((t, np.zeros(self.parts[0][1].shape)) for t in times)))
+
     def at(self, t) -> Float[np.ndarray, "*times z"]:
         """z at some times [s]."""
         t = np.asarray(t)[..., None]

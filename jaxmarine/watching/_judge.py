@@ -49,9 +49,8 @@ class Judge:
     - `members`, `exchanged`: those that are named, `named` in words; `undecided`: labels that explain the
       blocks alike.
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
-    - `asked_at`: that at which rivals were last compared, `asked_with` so many nats, when `asked_about` led;
-      they are again after `patience` blocks, which doubles each time until all is quiet, or in a quarter of
-      it, as rows may tell them apart, once there are twice as many or others lead.
+    - `asked_at`: that at which rivals were last compared, when there were `asked_with` nats and `asked_about`
+      led (`_waits`); `patience`: blocks from one time to the next, doubled each time until all is quiet.
     - `swell_at`, `calm`: likewise of a swell that may be a wave, which need not ever be quiet; `in_step`:
       whether it was one when all rows at hand were last asked.
     """
@@ -154,8 +153,7 @@ class Judge:
         sure, swinging = self.nats.max() >= self.bound, self._swinging()
         if not sure and waited >= PATIENCE:
             self.undecided, self.patience = (), PATIENCE
-        told_more = self.nats.max() >= 2 * self.asked_with or self._leaders() != self.asked_about
-        sure = sure and rested >= (max(PATIENCE, self.patience // 4) if told_more else self.patience)
+        sure = sure and rested >= self._waits()
         if not (sure or swinging) or 0 < waited < PATIENCE:
             return []
         if swinging:
@@ -169,14 +167,27 @@ class Judge:
             since, table = self._weigh()
             self.nats = table.max(axis=1)
             suspected += hopeful(since, table)
-        self.asked_with, self.asked_about = float(self.nats.max()), self._leaders()
+        self.asked_with, self.asked_about = float(self.nats.max()), self._within(Criteria().close)
         suspected += self._closely(since, table)
         return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
 
-    def _leaders(self) -> list[int]:
-        """Suspects that explain the blocks alike and best, as they were last weighed."""
+    def _waits(self) -> int:
+        """How many blocks to wait until rivals are compared once more: `patience`, or less if rows tell more.
+
+        They may tell two apart where they tell twice as much, and where another has come to those who led, or
+        one of them has fallen behind, beyond what two that go up and down do at the edge.
+        """
         assert self.nats is not None
-        return np.flatnonzero(self.nats > self.nats.max() - Criteria().close).tolist()
+        if self.nats.max() >= 2 * self.asked_with:
+            return PATIENCE
+        close, asked = Criteria().close, {*self.asked_about}
+        changed = {*self._within(close)} - asked or asked - {*self._within(2 * close)}
+        return max(PATIENCE, self.patience // 4) if changed else self.patience
+
+    def _within(self, nats: float) -> list[int]:
+        """Suspects with so many nats less than the best at most, as they were last weighed."""
+        assert self.nats is not None
+        return np.flatnonzero(self.nats > self.nats.max() - nats).tolist()
 
     def _swinging(self) -> bool:
         """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""

@@ -29,13 +29,13 @@ from ..fitting import (
     with_current,
     with_swell,
 )
-from ._blocks import LONG, Begun, Bench, expected, passed, replayed
+from ._blocks import LONG, Begun, Bench, Place, expected, passed, replayed
 from ._evidence import Acting, Member, Sum, Suspicions, place
 
 # Blocks that are let go at once; twice as many are held at most.
 CHUNK = 80
-# Of these, how many are left for blocks that are told as two, as something begins within them.
-SPARE = 8
+# Of these, how many are left for parts of blocks within which something begins, or may begin.
+SPARE = 16
 # Beginnings before the blocks that are held, at most.
 KEPT = 24
 # Variance of the logarithms of sizes and memories before anything is known of them.
@@ -107,8 +107,8 @@ class Opening(NamedTuple):
 class Ledger:
     """What was said so far.
 
-    - `held`: blocks at hand; of each `windows`, where it begins `begun_at` [s], and how many numbers were
-      measured in it, `counts`.
+    - `held`: blocks at hand; of each `windows`, and its `Place`: `begun_at`, `ends_at`, `counts`, `samples`,
+      `within`.
     - `blocks`: since the first; `let_go`: how often half of those held were; `lost`: how many count for
       nothing; `t`: where the last ends [s].
     - `about`: what blocks are linear about.
@@ -124,7 +124,8 @@ class Ledger:
         most = 2 * CHUNK
         self.accounts = [Account.blank(bench)]
         self.windows: Windowed = jax.tree.map(lambda a: np.array([a] * most), bench.empty)
-        self.begun_at, self.counts = np.zeros(most), np.zeros(most, int)
+        self.begun_at, self.ends_at = np.zeros((2, most))
+        self.counts, self.samples, self.within = np.zeros((3, most), int)
         self.held, self.blocks, self.let_go, self.lost, self.t = 0, 0, 0, 0, -np.inf
         self.about = Acting(((-np.inf, np.zeros(bench.layout.size)),))
         self.opening: Opening | None = None
@@ -141,9 +142,7 @@ class Ledger:
         filed = np.arange(len(known)) < len(self.suspicions.base)
         out.about = self.suspicions.acting(np.where(filed, 0.0, known), members)
         out.blocks, out.let_go, out.held = self.blocks - self.held + kept, self.let_go, kept
-        ours = *jax.tree.leaves(self.windows), self.begun_at, self.counts
-        theirs = *jax.tree.leaves(out.windows), out.begun_at, out.counts
-        for new, one in zip(theirs, ours, strict=True):
+        for new, one in zip(out.of_blocks, self.of_blocks, strict=True):
             new[:kept] = one[:kept]
         gates = tuple((self._columns(m.suspect), m.since) for m in members if m.since >= self.begun_at[0])
         before = tuple(gate for gate in gates if kept and gate[1] < self.begun_at[kept])
@@ -172,7 +171,7 @@ class Ledger:
     def begun(self) -> Begun:
         """What is expected where the blocks that are held end."""
         first, last = self.accounts[0], self.held - 1
-        ends = self.begun_at[last] + float(self.windows.line.dt[last].sum())
+        ends = self.ends_at[last]
         return expected(first.message, first.force, 0.5 * (ends - self.begun_at[last]), self.about.at(ends))
 
     def _blank(self, account: Account, gates: tuple[Gate, ...]) -> Account:
@@ -205,19 +204,40 @@ class Ledger:
 
     @property
     def full(self) -> bool:
-        return self.held >= 2 * CHUNK - SPARE
+        return self.room <= SPARE
 
-    def add(self, window: Windowed, begins: float, ends: float, count: int) -> Begun | None:
-        """Filters one more block in which so many numbers were measured; where it leaves the craft.
+    @property
+    def room(self) -> int:
+        """For so many blocks more."""
+        return 2 * CHUNK - self.held
+
+    @property
+    def places(self) -> tuple[np.ndarray, ...]:
+        """Those of all blocks, each as an array, in the order of `Place`."""
+        return self.begun_at, self.ends_at, self.counts, self.samples, self.within
+
+    @property
+    def of_blocks(self) -> tuple[np.ndarray, ...]:
+        """All that is kept of each block."""
+        return *jax.tree.leaves(self.windows), *self.places
+
+    def states(self, blocks: slice) -> Float[np.ndarray, "samples 13"]:
+        """Where the craft was expected at the samples of some blocks."""
+        states = np.asarray(self.windows.states)[blocks]
+        return states[np.arange(states.shape[1]) < self.samples[blocks, None]]
+
+    def add(self, window: Windowed, place: Place) -> Begun | None:
+        """Filters one more block; where it leaves the craft.
 
         None where the craft runs away from what is expected: the block counts for nothing.
         """
         k = self.held
         for kept, new in zip(jax.tree.leaves(self.windows), jax.tree.leaves(window), strict=True):
             kept[k] = new
-        self.begun_at[k], self.counts[k] = begins, count
+        for kept, new in zip(self.places, place, strict=True):
+            kept[k] = new
         for account in self.accounts:
-            own = acting_in(window, np.array(begins), account.gates)
+            own = acting_in(window, np.array(place.begins), account.gates)
             said, account.message = passed(account.message, own, account.force, self.bench.spread)
             for kept, new in zip(account.said, said, strict=True):
                 kept[k] = new
@@ -228,7 +248,7 @@ class Ledger:
                 account.message = nothing_known(account.force, self.bench.layout.size + 1)
             self.held, self.blocks, self.lost = k, self.blocks - 1, self.lost + 1
             return None
-        self.t = ends
+        self.t = place.ends
         return now
 
     def since(self, account: Account) -> list[Sum]:
@@ -240,7 +260,8 @@ class Ledger:
     def _beginnings(self, held: int, pinned: Sequence[float]) -> list[int]:
         """Of so many blocks those that begin a window, and those within which some times [s] lie."""
         at = {self.block_of(t) for t in pinned if t > self.begun_at[0] - 1e-9}
-        return sorted({*range(0, held, self.bench.whole), *(k for k in at if k < held)})
+        begins = np.flatnonzero(~np.asarray(self.windows.joined[:held])).tolist()
+        return sorted({0, *begins, *(k for k in at if k < held)})
 
     def block_of(self, t: float) -> int:
         """The last block that is held and begins no later than a time [s], or the first."""
@@ -262,7 +283,7 @@ class Ledger:
         return begun[np.abs(begun - t) < self.bench.length - 1e-9]
 
     def nats_from(self, account: Account, members: Sequence[Member], t: float) -> tuple[Sum, np.ndarray]:
-        """What was said from a time [s] on, and nats of every suspect that begins then.
+        """What was said from a block on, and nats of every suspect that begins with it.
 
         Within a window a state is where a suspect would have taken it that had acted before. So blocks are
         filtered without a trace of any but of the file's own coefficients, which act anyway, and of members'.
@@ -275,8 +296,8 @@ class Ledger:
         self._replay(own)
         since = self.since(own)
         of_members = (since[place(since, m.since)] for m in members)
-        begun = since[place(since, float(self.begun_at[self.block_of(t)]))]._replace(t=t)
-        return begun, self.nats(own, [since[0], *of_members, begun], members)[:, -1]
+        some = [since[0], *of_members, since[place(since, t)]]
+        return some[-1], self.nats(own, some, members)[:, -1]
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
@@ -479,7 +500,7 @@ class Ledger:
             for kept in account.said:
                 kept[:CHUNK] = kept[CHUNK:]
                 kept[CHUNK:] = 0.0
-        for kept in (*jax.tree.leaves(self.windows), self.begun_at, self.counts):
+        for kept in self.of_blocks:
             kept[:CHUNK] = kept[CHUNK:]
         self.held, self.let_go = self.held - CHUNK, self.let_go + 1
 
@@ -493,16 +514,10 @@ def closed(message: Message, columns: list[int]) -> Message:
 
 
 def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: Sequence[Gate]) -> Windowed:
-    """One block or several without a trace of what has not begun in them.
-
-    What begins within a block acts as much there as it is long behind that.
-    """
-    lasts = np.asarray(blocks.line.dt).sum(axis=-1)
+    """One block or several without a trace of what has not begun in them."""
     for columns, since in gates:
         acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
-        # To six digits, as the end of a block is not quite the beginning of the next.
-        share = np.round((begun_at + lasts - since) / lasts, 6)
-        acts[..., list(columns)] = np.clip(share, 0.0, 1.0)[..., None]
+        acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
         line = dataclasses.replace(blocks.line, residual=blocks.line.residual * acts[..., None, None, :])
         blocks = dataclasses.replace(blocks, line=line, end=blocks.end * acts[..., None, :])
     return blocks

@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 
 from ..effects import ExchangedThrusters
 from ..vehicle import Placed
-from ._blocks import LONG, Bench, Rows
+from ._blocks import LONG, Bench, Place, Rows
 from ._course import Course
 from ._evidence import Member
-from ._ledger import CHUNK, Account, Ledger
+from ._ledger import CHUNK, SPARE, Account, Ledger
 
 
 class Passage:
@@ -29,7 +29,7 @@ class Passage:
         self.bench, self.columns = ledger.bench, columns
         self.course, self.ledger = course, ledger
         # The last block needs another row behind it.
-        most = course.next + 2 * CHUNK * self.bench.steps + 1
+        most = course.next + (2 * CHUNK - SPARE) * self.bench.steps + 1
         self.recent = deque[tuple[Rows, bool]](maxlen=most)
 
     @classmethod
@@ -50,7 +50,9 @@ class Passage:
         while (block := self.course.cut(self.ledger.about)) is not None:
             window, rows = block
             seen = int(np.isfinite(rows.channels[:-1, list(self.bench.channels)]).sum())
-            begun = self.ledger.add(window, float(rows.t[0]), float(rows.t[-1]), seen)
+            begins, ends = float(rows.t[0]), float(rows.t[-1])
+            place = Place(begins, ends, seen, len(rows) - 1, self.course.within)
+            begun = self.ledger.add(window, place)
             if begun is None:
                 self.course.interrupt(LONG)
                 yield f"The craft runs away from what is expected at t = {rows.t[0]:g} s; motion begins anew."
@@ -76,26 +78,31 @@ class Passage:
         members: Sequence[Member],
         account: Account,
         since: float = -np.inf,
+        cuts: Sequence[float] = (),
     ) -> "Passage | None":
         """The rows of the blocks that are held told once more, linear about members with known numbers.
 
         Beside the disturbance of an account; what older rows said stays. None where the craft runs away from
-        what is expected.
+        what is expected, or where there are more blocks than can be held, as some were lost before.
 
         - `since` [s]: blocks that end before that stay as they are, as nothing acts otherwise there. Only
           where this passage was told again itself.
+        - `cuts` [s]: samples with which a block shall begin, besides those with which members do.
         """
         first = self.ledger.block_of(since)
         out = Passage(self.course.anew(), self.ledger.anew(known, members, account, first), self.columns)
+        out.ledger.about = out.ledger.about.cut(cuts)
         begins = self.ledger.begun_at[0] - (out.course.next + 0.5) * self.bench.dt
         rows = [(one, set_back) for one, set_back in self.recent if one.t[0] > begins]
+        # Blocks and windows begin where they did.
+        out.course.within = int(self.ledger.within[0])
         if first:
             out._skip(self.ledger, first, rows)
         # Numbers of a craft that runs away overflow before it is seen to.
         with np.errstate(over="ignore", invalid="ignore"):
             for one, set_back in rows[len(out.recent) :]:
                 for _ in out.take(one, set_back):
-                    if out.ledger.lost:
+                    if out.ledger.lost or not out.ledger.room:
                         return None
         return out
 
@@ -112,10 +119,11 @@ class Passage:
             self.recent.extend(rows[: here - self.course.next])
             return
         stretch = slice(int(np.flatnonzero(np.asarray(told.windows.gap[:first])).max()), first)
-        states = np.asarray(told.windows.states)[stretch][self.bench.lasting(told.windows)[stretch]]
+        states = told.states(stretch)
         count = min(self.course.next + len(states), self.bench.past)
         past = rows[max(here - count, 0) : here]
-        self.course.go_to([one.driven(self.columns) for one, _ in past], self.ledger.begun(), states)
+        driven, within = [one.driven(self.columns) for one, _ in past], int(told.within[first])
+        self.course.go_to(driven, self.ledger.begun(), states, within)
         self.recent.extend(rows[:here])
 
     def adopt(self, other: "Passage") -> None:

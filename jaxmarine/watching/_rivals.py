@@ -15,13 +15,13 @@ from ..diagnosis import Criteria
 from ..vehicle import Placed
 from ._anew import Told, exchanged, possible, promised, starts, tell
 from ._evidence import Member, place
-from ._ledger import SPARE, Account, Ledger
+from ._ledger import Account, Ledger
 from ._passage import Passage
 from ._swell import stilled, waves
 
 # Of what the best has, what another must promise to be told about again [nats].
 HOPEFUL = 0.5
-# Times within a block at which a suspect may begin, about.
+# Within a block a suspect is tried from every sample, or from every fourth part of it where there are more.
 PARTS = 4
 
 
@@ -166,24 +166,28 @@ class Field:
     def _as_begun(self, rival: Rival) -> Rival:
         """A suspect from the time on, less than a window from its beginning, that suits it best.
 
-        By blocks that are linear about it all the while; then told again from there. First with the block
-        that suits it best, then within that and the one before.
+        By blocks that are linear about it all the while; then told again from there. First the block that
+        suits it best, then the sample within that or the one before, with which a block is made to begin.
         """
         times = self.none.passage.ledger.begun_within(rival.since).tolist()
         if not times:
             return rival
         *model, member = rival.told.members
         longer = (*model, member._replace(since=times[0]))
+
+        def suits(t: float) -> float:
+            assert told is not None
+            return told.passage.ledger.nats_from(told.account, model, t)[1][member.suspect]
+
         told = promised(self.none.passage, longer, rival.told.known, rival.told.account, times[0])
         if told is None:
             return rival
-        ledger, account = told.passage.ledger, told.account
-
-        def suits(t: float) -> float:
-            return ledger.nats_from(account, model, t)[1][member.suspect]
-
         best = max(times, key=suits)
-        best = max([best, *self._within(best, times[0])], key=suits)
+        within = self._within(best, times[0])
+        if within:
+            told = promised(told.passage, longer, rival.told.known, told.account, within[0], within)
+            if told is not None:
+                best = max([best, *within], key=suits)
         begun = member._replace(since=best)
         if begun == member:
             return rival
@@ -192,18 +196,14 @@ class Field:
         return max([rival, *found], key=lambda one: one.compared)
 
     def _within(self, t: float, first: float) -> list[float]:
-        """Some samples [s] within the block that begins at a time, and within that before, from the first on.
-
-        So near that a cause acts wrongly for no longer than an eighth of a block.
-        """
-        if len(self.members) >= SPARE:
-            return []
+        """Some samples [s] within the block that begins at a time, and the one before, from the first on."""
         ledger, rows = self.none.passage.ledger, self.none.passage.rows.t
         k = ledger.block_of(t)
-        begins = ledger.begun_at[max(k - 1, 0)]
-        ends = ledger.begun_at[k + 1] if k + 1 < ledger.held else ledger.t
+        begins = max(ledger.begun_at[max(k - 1, 0)], first)
         every = max(1, ledger.bench.steps // PARTS)
-        return rows[(rows > max(begins, first)) & (rows < ends)][every - 1 :: every].tolist()
+        inside = (rows > begins) & (rows < ledger.ends_at[k]) & (rows != t)
+        # One block more each, and one for its own beginning once it is known.
+        return rows[inside][every - 1 :: every][: max(ledger.room - 2, 0)].tolist()
 
     def _as_ever(self, rival: Rival) -> Rival:
         """A suspect as if it had always been there, where that is likelier than its beginning, paid for."""

@@ -115,8 +115,7 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
     held = ledger.held
     arrays: dict[str, Any] = {"noise": bench.noise, "speed": course.speed}
     arrays |= {"columns": passage.columns, "trail": course.trail}
-    arrays |= {"begun_at": ledger.begun_at[:held], "counts": ledger.counts[:held]}
-    arrays |= {f"windows{i}": leaf[:held] for i, leaf in enumerate(jax.tree.leaves(ledger.windows))}
+    arrays |= {f"blocks{i}": one[:held] for i, one in enumerate(ledger.of_blocks)}
     if judge.nats is not None:
         arrays["nats"] = judge.nats
     for i, account in enumerate(ledger.accounts):
@@ -206,9 +205,8 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
     course.waiting = [Rows(*some)] if (some := several("waiting")) else []
     course.begun = Begun(*some) if (some := several("begun")) else None
     held = ledger.held
-    ledger.begun_at[:held], ledger.counts[:held] = arrays["begun_at"], arrays["counts"]
-    for i, leaf in enumerate(jax.tree.leaves(ledger.windows)):
-        leaf[:held] = arrays[f"windows{i}"]
+    for i, one in enumerate(ledger.of_blocks):
+        one[:held] = arrays[f"blocks{i}"]
     ledger.accounts = [
         _account(ledger.accounts[0].branched(), arrays, i, *one) for i, one in enumerate(meta["accounts"])
     ]
