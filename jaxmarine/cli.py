@@ -221,6 +221,13 @@ def _file(out: Path) -> None:
         raise InputError(f"{out}: is no file that can be written; choose another --out.")
 
 
+def _new_file(out: Path) -> None:
+    """The same of a file that people go on to correct by hand: none is written over."""
+    _file(out)
+    if out.exists():
+        raise InputError(f"{out}: exists, and may have been corrected; remove it, or choose another --out.")
+
+
 def _say(text: str) -> None:
     """A line of results as it is: file names are no markup, and a pipe has no width to wrap at."""
     _out.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -666,7 +673,7 @@ def import_(
     """Makes a vehicle file of another program's, and says what it took for granted."""
     from .imports import import_vehicle
 
-    _file(out)
+    _new_file(out)
     for note in import_vehicle(source, out):
         _say(f"Note: {note}")
     _say(f"Vehicle file: {out}")
@@ -710,9 +717,10 @@ def init(
     """Guesses a vehicle file from main dimensions, with sources and with how far it may be off."""
     from .guesses import guess_vehicle
 
-    _file(out)
+    _new_file(out)
     sizes = {"mass": mass, "length": length, "beam": beam, "draft": draft}
     guess_vehicle(out, like.value, **sizes, speed=speed, name=name)
+    _say("All numbers are guesses, actuators placeholders: the file's comments say what to correct.")
     _say(f"Vehicle file: {out}")
 
 

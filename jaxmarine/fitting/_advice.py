@@ -55,10 +55,18 @@ class Axis(Protocol):
     def driven(self) -> bool: ...
 
 
-def advice(axes: Sequence[Axis], known: float) -> tuple[str, ...]:
+# Where something gross is wrong, all that is said of the log is of a craft that it does not show.
+MEND = (
+    "Mend what stands under first, in the column map or in the vehicle file, and check again; what else "
+    "stands here holds for the file as it is. Where the craft itself is so, diagnose names it."
+)
+
+
+def advice(axes: Sequence[Axis], known: float, guessed: bool) -> tuple[str, ...]:
     """Sentences on what the next log should have; one that says so where nothing is missing.
 
     - `known`: the relative standard error from which a number is not determined.
+    - `guessed`: whether the vehicle file says that its numbers may be far off.
     """
     out = [sentence for axis in axes for sentence in _of_axis(axis, known)]
     if not out:
@@ -67,6 +75,8 @@ def advice(axes: Sequence[Axis], known: float) -> tuple[str, ...]:
     if missed:
         most = max(axis.scatter for axis in missed)
         look = "diagnose the log first" if most < _FAR else "look at the axes, signs and units of both first"
+        if guessed and most < _FAR:
+            look = "fit the guesses that logs can tell, thrust too unless it was measured, before a diagnosis"
         out.append(
             f"The vehicle file misses something in {', '.join(axis.dof for axis in missed)}: a fit would be "
             f"off by up to {most:.2g} times these errors; {look}."

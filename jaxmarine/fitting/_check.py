@@ -18,7 +18,7 @@ from .._types import DOFS
 from ..logs import Log
 from ..simulation import substeps
 from ..vehicle import Vehicle, reach
-from ._advice import advice
+from ._advice import MEND, advice
 from ._coverage import AxisCoverage, coverage
 from ._estimate import Units
 from ._free import set_free
@@ -194,7 +194,7 @@ def check(vehicle: Vehicle, logs: Log | Sequence[Log], *, window: float = 4.0) -
     if not np.isfinite(refined.cost):
         raise runaway(logs[0].name, vehicle.name)
     found = evaluated(vehicle, logs, task, refined, freed.names, window)
-    return dataclasses.replace(found, notes=notes, gross=gross)
+    return dataclasses.replace(found, notes=notes, gross=gross, advice=(MEND,) if gross else found.advice)
 
 
 def evaluated(
@@ -245,7 +245,7 @@ def evaluated(
             if one < UNDETERMINED
         ),
         misfit=misfit,
-        advice=advice(axes, KNOWN),
+        advice=advice(axes, KNOWN, bool(vehicle.prior)),
     )
 
 

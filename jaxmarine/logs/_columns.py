@@ -165,8 +165,9 @@ class ColumnMap(pydantic.BaseModel):
         found: dict[str, ColumnSource] = {}
         for name, source in self.columns.items():
             if name not in known:
+                commands = f" or command of the vehicle ({', '.join(thrusters)})" if thrusters else ""
                 raise InputError(
-                    f"{path}: the column map gives `{name}`, which is no column of a log; "
+                    f"{path}: the column map gives `{name}`, which is no column of a log{commands}; "
                     f"{did_you_mean(name, known)}"
                 )
             if name in GEODETIC[:2] and source.unit == "deg":
