@@ -253,7 +253,7 @@ def _columns(path: Path | None):
 
 def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     """Writes the results and says in a few lines what they are; `said`: notes that were printed before."""
-    from ._numbers import plus_minus
+    from ._numbers import plus_minus, unit_on
     from .logs import moment
     from .reports import write_report
     from .vehicle_io import save_vehicle
@@ -264,7 +264,7 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
     _out.print(f"Verdict: [bold]{result.verdict.replace('_', ' ')}[/bold]")
     for finding in result.findings:
         values = ", ".join(
-            f"{name} = {plus_minus(p.value, p.std, '' if p.unit == '1' else p.unit).replace('−', '-')}"
+            f"{name} = {plus_minus(p.value, p.std, unit_on(p.unit, finding.target)).replace('−', '-')}"
             for name, p in finding.parameters.items()
         )
         since = ""
