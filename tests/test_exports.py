@@ -186,7 +186,7 @@ def test_casadi_steps_as_simulate(name, tmp_path):
     assert np.allclose(slope[known], exact[known], rtol=1e-3, atol=1e-3)
 
 
-def test_an_fmu_runs_as_simulate(tmp_path):
+def test_an_fmu_runs_as_simulate(tmp_path, monkeypatch):
     import fmpy
 
     vehicle, commands, start, track = driven("kvlcc2")
@@ -207,6 +207,15 @@ def test_an_fmu_runs_as_simulate(tmp_path):
     )
     assert np.allclose(got["time"], T)
     assert np.abs(np.array([[row[name] for name in shown] for row in got]) - track).max() < ROUNDING
+    # As the page has it.
+    (tmp_path / "ship.fmu").rename(tmp_path / "rov.fmu")
+    monkeypatch.chdir(tmp_path)
+    left = run_of_the_page(1, vehicle.command_names[0])
+    held = np.zeros((201, len(vehicle.command_names)))
+    held[:, 0] = 0.4
+    blank = Log(np.arange(201) / 10, np.full((201, 18), np.nan), held, None, vehicle.command_names, "held")
+    begin = initial_state(vehicle, velocity=np.array([0.2, 0, 0, 0, 0, 0]))
+    assert np.abs(left["out"]["u"] - np.asarray(simulate(vehicle, blank, begin)["u"])).max() < ROUNDING
 
 
 def test_what_is_left_behind_is_said_and_written(tmp_path):
@@ -221,12 +230,12 @@ def test_what_is_left_behind_is_said_and_written(tmp_path):
     assert "sliding mass" in " ".join(export(sliding(), tmp_path / "slides.zip", "casadi"))
 
 
-def run_of_the_page(which: int) -> dict:
-    """What a block of Python on the page of exports leaves, run where one is."""
+def run_of_the_page(which: int, port: str = "port") -> dict:
+    """What a block of Python on the page of exports leaves, run where one is; `port`: a thruster's name."""
     page = (ROOT / "docs" / "exports.md").read_text()
     blocks = re.findall(r"^```py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     left: dict = {}
-    exec(blocks[which], left)
+    exec(blocks[which].replace('"port"', f'"{port}"'), left)
     return left
 
 
@@ -279,7 +288,7 @@ def test_mujoco_moves_the_hull_as_simulate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     try:
-        left = run_of_the_page(1)
+        left = run_of_the_page(2)
         moving = mujoco.MjData(left["model"])
         moving.qvel[0] = 1.0
         mujoco.mj_step(left["model"], moving)

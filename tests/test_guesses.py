@@ -339,7 +339,13 @@ def test_what_is_no_craft_is_refused_in_one_sentence(tmp_path, capsys, like, cha
 def test_the_command_writes_what_the_function_does(tmp_path, capsys):
     words = [word for key, value in SIZES["rov"].items() for word in (f"--{key}", value)]
     assert exit_code("init", "--like", "rov", *words, "--name", "rov", "--out", tmp_path / "a.toml") == 0
-    assert capsys.readouterr().out == f"Vehicle file: {tmp_path / 'a.toml'}\n"
+    said = capsys.readouterr().out
+    assert "placeholders" in said and said.endswith(f"\nVehicle file: {tmp_path / 'a.toml'}\n")
     jm.guess_vehicle(tmp_path / "b.toml", "rov", **SIZES["rov"])
     assert (tmp_path / "a.toml").read_text() == (tmp_path / "b.toml").read_text()
+    # What may have been corrected since is not written over.
+    (tmp_path / "a.toml").write_text("# mine\n")
+    assert exit_code("init", "--like", "rov", *words, "--out", tmp_path / "a.toml") == 2
+    assert "exists, and may have been corrected" in capsys.readouterr().err
+    assert (tmp_path / "a.toml").read_text() == "# mine\n"
     assert Hull(**SIZES["rov"], speed=1.0).fullness == pytest.approx(0.287, abs=0.001)
