@@ -168,6 +168,10 @@ def test_a_force_that_the_file_lacks_shows_in_the_scatter():
     assert checked["surge"].scatter > 5 and checked["pitch"].scatter < 2
     assert checked.misfit > 5
     assert checked.advice[-1].startswith("The vehicle file misses something in surge:")
+    assert checked.advice[-1].endswith("diagnose the log first.")
+    # Beside guesses a diagnosis would name what these miss.
+    guessed = dataclasses.replace(craft(), prior=(("added_mass", 1.6),))
+    assert "before a diagnosis" in jm.check(guessed, lying).advice[-1]
 
 
 def test_a_check_needs_logs_and_windows():

@@ -306,6 +306,9 @@ def test_a_check_says_it_first():
     checked = jm.check(packaged(BOAT), sailed(("exchanged_thrusters", "star+port", ())))
     assert "star and port are exchanged" in checked.gross[0]
     assert str(checked).startswith(f"first: {checked.gross[0]}")
+    # And nothing else: what a log must show besides is told once the map is right.
+    (advice,) = checked.advice
+    assert advice.startswith("Mend what stands under first")
 
 
 @pytest.mark.slow
