@@ -16,14 +16,16 @@ from xdist.scheduler import LoadScopeScheduling
 
 import tests.typed
 
-# Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
-# Left out are `fitting`, whose records hold JAX's and NumPy's arrays in turn, stacked or not.
-UNCHECKED = ("fitting",)
-CHECKED = [
-    f"jaxmarine.{path.stem}"
-    for path in sorted((Path(__file__).resolve().parent.parent / "jaxmarine").iterdir())
-    if not path.name.startswith("_") and path.stem not in UNCHECKED
-]
+# Shapes and types are checked at every call into all rooms, in tests only and before anything is imported. Left
+# out are modules of `fitting` whose records hold JAX's and NumPy's arrays in turn, stacked or not.
+UNCHECKED = (
+    "fitting",
+    *(f"fitting.{name}" for name in ("_dirty", "_filter", "_free", "_linearise", "_windows")),
+)
+PACKAGE = Path(__file__).resolve().parent.parent / "jaxmarine"
+ROOMS = [path.stem for path in sorted(PACKAGE.glob("[a-z]*"))]
+FITTING = [f"fitting.{path.stem}" for path in sorted((PACKAGE / "fitting").glob("_[a-z]*.py"))]
+CHECKED = [f"jaxmarine.{name}" for name in (*ROOMS, *FITTING) if name not in UNCHECKED]
 jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.

@@ -401,7 +401,7 @@ def test_each_fluid_memory_of_a_log_is_that_which_is_alone():
     np.testing.assert_allclose(found[free], expected[free], rtol=0, atol=1e-12)
 
 
-def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one():
+def test_fluid_memory_follows_the_true_velocity_and_not_the_shown_one(unchecked):
     """Else errors of the sensors would pass for forces: a misalignment times a memory is a cross damping."""
     this = case(*THREE_AXES)
     records, theta = this.problem.records, this.affine.theta
