@@ -16,16 +16,15 @@ from xdist.scheduler import LoadScopeScheduling
 
 import tests.typed
 
-# Shapes and types are checked at every call into all rooms, in tests only and before anything is imported. Left
-# out are modules of `fitting` whose records hold JAX's and NumPy's arrays in turn, stacked or not.
-UNCHECKED = (
-    "fitting",
-    *(f"fitting.{name}" for name in ("_dirty", "_filter", "_free", "_linearise", "_windows")),
-)
+# Shapes and types are checked at every call into all rooms, in tests only and before anything is imported.
+# Not in modules of `fitting` whose records hold JAX's and NumPy's arrays in turn, stacked or not.
+UNCHECKED = ("_dirty", "_filter", "_free", "_linearise", "_windows")
 PACKAGE = Path(__file__).resolve().parent.parent / "jaxmarine"
-ROOMS = [path.stem for path in sorted(PACKAGE.glob("[a-z]*"))]
-FITTING = [f"fitting.{path.stem}" for path in sorted((PACKAGE / "fitting").glob("_[a-z]*.py"))]
-CHECKED = [f"jaxmarine.{name}" for name in (*ROOMS, *FITTING) if name not in UNCHECKED]
+ROOMS = [path.stem for path in sorted(PACKAGE.glob("[a-z]*")) if path.stem != "fitting"]
+FITTING = [
+    path.stem for path in sorted((PACKAGE / "fitting").glob("_[a-z]*.py")) if path.stem not in UNCHECKED
+]
+CHECKED = [f"jaxmarine.{name}" for name in (*ROOMS, *(f"fitting.{name}" for name in FITTING))]
 jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.
