@@ -15,6 +15,16 @@ def test_the_page_has_the_numbers_of_the_study():
     assert {name: kept[name] for name in found} == found
     page = (ROOT / "docs" / "live.md").read_text()
     assert study.table(found) in page
+    # Lines of the page break anywhere.
+    page = " ".join(page.split())
+    logs = [row for row in kept["rows"] if row["kind"] == "delay"]
+    named = [row for row in logs if row["named"]]
+    assert all(row["first_right"] for row in named) and sum(len(row["named"]) > 1 for row in named) == 1
+    exact, near = (sum(abs(row["off"]) < by for row in named) for by in (0.05, 0.55))
+    assert (
+        f"Of {len(logs)} logs {len(named)} get a name, all of them the right one first, {exact} since" in page
+    )
+    assert f"and {near} within half a second" in page
 
 
 def test_what_is_named_before_the_fault_is_false():

@@ -875,8 +875,15 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
 
 
 @pytest.mark.slow
-def test_a_wave_that_keeps_in_step_is_named_and_a_swell_is_not():
-    """As soon as all rows are at hand that can be, of a boat that hardly turns: a swell is along its axes."""
+def test_a_wave_that_keeps_in_step_is_named_and_a_swell_is_not(monkeypatch):
+    """As soon as all rows are at hand that can be, of a boat that hardly turns: a swell is along its axes.
+
+    These are 40 s, some times that in which a swell is in step with itself; of half of that a wave is hardly
+    told.
+    """
+    for module in (_ledger, _passage):
+        monkeypatch.setattr(module, "CHUNK", 48)
+        monkeypatch.setattr(module, "SPARE", 16)
     t, commands = np.arange(900) * DT, 0.2 * steps(900)
     truth = {"north": 12.0, "east": -6.0, "period": 3.0, "phase": 0.7}
     wave = Placed(place(suspect_named(boat(), "waves", None), boat(), truth), None)
@@ -892,7 +899,7 @@ def test_a_wave_that_keeps_in_step_is_named_and_a_swell_is_not():
             found = {name: value for name, (value, _, _) in watch.named[0].parameters.items()}
             assert abs(found["period"] - 3.0) < 4 * watch.named[0].parameters["period"][1]
             # The rows at hand when it was named.
-            told = watch.named[0].at - np.arange(0.0, 24.0, DT)
+            told = watch.named[0].at - np.arange(0.0, 40.0, DT)
             (mine, true) = (
                 np.outer(np.sin(2 * np.pi * told / one["period"] + one["phase"]), [one["north"], one["east"]])
                 for one in (found, truth)
