@@ -18,13 +18,23 @@ import tests.typed
 
 # Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
 # Left out are vehicles, networks and what of `fitting` has such: their records hold JAX's and NumPy's arrays
-# in turn, stacked or not, or stand-ins while Equinox puts others in their place. So are tables of files, which
-# are made at reading.
+# in turn, stacked or not, or stand-ins while Equinox puts others in their place. So are a file's tables, made
+# at reading.
 UNCHECKED = {"fitting", "networks", "vehicle", "vehicle_file", "vehicle_io"}
-IN_FITTING = {"dirty", "estimate", "filter", "fit", "free", "least_squares", "linearise", "subnets", "windows"}
+OF_FITTING = [
+    "dirty",
+    "estimate",
+    "filter",
+    "fit",
+    "free",
+    "least_squares",
+    "linearise",
+    "subnets",
+    "windows",
+]
 PACKAGE = Path(__file__).resolve().parent.parent / "jaxmarine"
 ROOMS = {path.stem for path in PACKAGE.glob("[a-z]*")} - UNCHECKED
-FITTING = {path.stem for path in (PACKAGE / "fitting").glob("_[a-z]*.py")} - {f"_{one}" for one in IN_FITTING}
+FITTING = {path.stem for path in (PACKAGE / "fitting").glob("_[a-z]*.py")} - {f"_{one}" for one in OF_FITTING}
 CHECKED = [f"jaxmarine.{name}" for name in sorted((*ROOMS, *(f"fitting.{one}" for one in FITTING)))]
 jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
