@@ -35,7 +35,7 @@ import typer
 
 import jaxmarine as jm
 from experiments._study import program, save_figure, study, write_results
-from experiments.blind.cases import make_case
+from experiments.blind.cases import DT, make_case
 from experiments.blind.disturbances import KINDS as WEATHERS
 from experiments.blind.plant import Effect
 from jaxmarine._types import CHANNELS
@@ -98,8 +98,16 @@ def names_of(watch: jm.Watch) -> list[Row]:
     return [{"label": n.label, "since": n.since, "at": n.at, "nats": n.nats} for n in watch.named]
 
 
-def opened(folder: Path, hidden: list[Effect], seed: int, duration: float, steering: str, disturbance: str):
-    """A case of the independent plant: its vehicle file and its two logs."""
+def opened(
+    folder: Path,
+    hidden: list[Effect],
+    seed: int,
+    duration: float,
+    steering: str,
+    disturbance: str,
+    held: int = 1,
+):
+    """A case of the independent plant: its vehicle file and its two logs; `held`: as of `make_case`."""
     make_case(
         folder,
         CRAFT,
@@ -109,6 +117,7 @@ def opened(folder: Path, hidden: list[Effect], seed: int, duration: float, steer
         duration_test=DURATION / 2,
         disturbance=disturbance,
         excitation=steering,
+        held=held,
     )
     vehicle = jm.load_vehicle(folder / "vehicle.toml")
     return vehicle, *(jm.read_log(folder / name, vehicle) for name in ("train.csv", "test.csv"))
@@ -167,11 +176,15 @@ def null(folder: Path, duration: float, seed: int, steering: str, disturbance: s
 
 
 def hour(folder: Path, seconds: float, dt: float, seed: int, steering: str, disturbance: str) -> Row:
-    """What is named of a long log that hides nothing, at each setting: none where the loosest names none."""
-    vehicle, train, _ = opened(folder, [], seed, seconds, steering, disturbance)
+    """What is named of a long log that hides nothing, at each setting: none where the loosest names none.
+
+    The craft is commanded as often as its log has a row: what such rows do not show, none could explain.
+    """
+    every = round(dt / DT)
+    vehicle, train, _ = opened(folder, [], seed, seconds, steering, disturbance, every)
     shutil.rmtree(folder)
     assert train.commands is not None
-    each = slice(None, None, round(dt / train.dt))
+    each = slice(None, None, every)
     sparse = train.t[each], train.channels[each], train.commands[each], None
     log = Log(*sparse, train.command_names, train.name)
     named: dict[str, list[Row]] = {}

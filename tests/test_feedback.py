@@ -91,6 +91,26 @@ def test_a_controller_acts_on_the_noisy_samples_of_its_log(steering):
     assert np.std(samples[:, 6] - states[:, 6]) == pytest.approx(vehicle.noise[6], rel=0.15)
 
 
+@pytest.mark.parametrize("ship", [BOAT, "azimuth"])
+def test_a_slow_computer_commands_every_tenth_sample_and_holds(ship):
+    """What it asks for is what it would of these samples alone, with its own time from one to the next."""
+    vehicle, held = load(ship), 10
+    noise = white(vehicle, 300)
+    slow, again = (
+        Controller(vehicle, "pilot", 300, np.random.default_rng(3), dt=held * DT) for _ in range(2)
+    )
+    log = cases.close_loop(vehicle, [], slow, noise, 0.7, held=held)
+    steered, asked = log.commands[:, : len(vehicle.steered)], log.commands[::held]
+    assert np.array_equal(steered, np.repeat(steered[::held], held, axis=0))
+    seen = (log.run.states[:, :, 0][:, :12] + noise[:, :12])[::held]
+    said = [again(held * k, one)[None] for k, one in enumerate(seen)]
+    said = np.concatenate(
+        [vehicle.asked(one, now[None, len(vehicle.steered) :]) for one, now in zip(said, asked, strict=True)]
+    )
+    assert np.abs(said - asked).max() < 1e-6
+    assert len(np.unique(asked, axis=0)) > 20
+
+
 def test_commands_depend_on_no_later_sample():
     noise, k = white(CRAFT[BOAT], 300), 200
     other = noise.copy()

@@ -70,6 +70,7 @@ class Loop:
     """A controller in the loop: it sees a sample with its noise, and its commands are kept for the log.
 
     - `commands` (K, thrusters): those given so far; `noise` (K, 18).
+    - `held`: for how many samples a command stays before the controller is asked again.
     """
 
     controller: Controller
@@ -77,6 +78,7 @@ class Loop:
     outside: list[Outside]
     commands: Array
     noise: Array
+    held: int = 1
 
     def __post_init__(self) -> None:
         self.signals = np.zeros((len(self.commands), 18, 1))
@@ -94,8 +96,13 @@ class Loop:
         seen = clean + self.noise[k]
         seen[3:6] = wrapped(seen[3:6])
         craft = self.controller.vehicle
-        given = self.commands[k : k + 1, len(craft.steered) :]
-        self.commands[k] = now = craft.asked(self.controller(k, seen[:12])[None], given)[0]
+        steered = len(craft.steered)
+        given = self.commands[k : k + 1, steered:]
+        if k % self.held:
+            now = np.append(self.commands[k - 1, :steered], given)
+        else:
+            now = craft.asked(self.controller(k, seen[:12])[None], given)[0]
+        self.commands[k] = now
         # What such an effect makes of a command depends on it, and on what it made of the one before.
         for alter in self.altering:
             pair = np.array([self.acting[k - 1] if k else now, now])
@@ -125,17 +132,18 @@ def close_loop(
     heading: float,
     disturbance: Disturbance | None = None,
     given: Array | float = 0.0,
+    held: int = 1,
 ) -> Log:
     """The same under a controller, that sees each sample with its noise (K, 18).
 
-    - `given`: what the surroundings fill of the columns, if there are such.
+    - `given`: what the surroundings fill of the columns, if there are such; `held`: as of `Loop`.
     """
     named, unnamed = parted(hidden)
     commands = np.zeros((len(noise), len(vehicle.columns)))
     commands[:, len(vehicle.steered) :] = given
-    loop = Loop(controller, named, unnamed, commands, noise)
+    loop = Loop(controller, named, unnamed, commands, noise, held)
     run = sailed(vehicle, hidden, loop.commands, heading, disturbance, loop)
-    if controller.strayed > 0.5 * len(noise):
+    if held * controller.strayed > 0.5 * len(noise):
         raise Unruly(f"{vehicle.name} does not keep its heading")
     return Log(run, loop.commands, named, noise)
 
@@ -148,12 +156,13 @@ def regulated(
     rng: np.random.Generator,
     level: float,
     disturbance: Disturbance | None = None,
+    held: int = 1,
 ) -> Log:
     """A run of so many samples with set-points, noise and heading at the start drawn at random."""
-    controller = Controller(vehicle, steering, samples, rng, level)
+    controller = Controller(vehicle, steering, samples, rng, level, DT * held)
     noise = vehicle.noise * rng.standard_normal((samples, 18))
     heading, given = float(rng.uniform(-np.pi, np.pi)), surroundings(vehicle, samples, rng)
-    return close_loop(vehicle, hidden, controller, noise, heading, disturbance, given)
+    return close_loop(vehicle, hidden, controller, noise, heading, disturbance, given, held)
 
 
 def parted(hidden: Sequence[Hidden]) -> tuple[list[Effect], list[Outside]]:
@@ -251,6 +260,7 @@ def make_case(
     disturbance: float | str = 0.0,
     misfit: bool = False,
     excitation: str = "rich",
+    held: int = 1,
 ) -> dict[str, Any]:
     """Writes one case and returns its answer.
 
@@ -259,6 +269,7 @@ def make_case(
       moderate push, or one of `disturbances.KINDS`.
     - `misfit`: the written file has every damping and added-mass coefficient wrong by 15 %.
     - `excitation`: of `excitation.commands`, by sticks, or one of `feedback.STEERINGS`.
+    - `held`: for how many samples a command stays, as a craft has it whose computer is slower.
     """
     rng = np.random.default_rng([seed, 1])
     raw = with_noise(load(vehicle).raw, noise)
@@ -280,8 +291,10 @@ def make_case(
     def log(duration: float, effects: Sequence[Hidden], level: float) -> Log:
         samples = round(duration / DT)
         if excitation in STEERINGS:
-            return regulated(truth, effects, excitation, samples, rng, level, push(samples))
+            return regulated(truth, effects, excitation, samples, rng, level, push(samples), held)
         commands = (level * operator(truth, samples, rng, excitation)).round(6)
+        steered = slice(len(truth.steered))
+        commands[:, steered] = commands[np.arange(samples) // held * held, steered]
         pushed = push(samples)
         return roll_out(truth, effects, commands, float(rng.uniform(-np.pi, np.pi)), pushed)
 

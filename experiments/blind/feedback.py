@@ -85,16 +85,22 @@ def authority(vehicle: Vehicle) -> Array:
 class Controller:
     """One way of steering on one vehicle, with its set-points.
 
-    - `level`: factor on all set-points.
+    - `level`: factor on all set-points; `dt` [s]: from one command to the next.
     - `strayed`: samples so far at which the heading was off by more than `LOST`.
 
     It keeps what it has integrated: one controller steers one log.
     """
 
     def __init__(
-        self, vehicle: Vehicle, steering: str, samples: int, rng: np.random.Generator, level: float = 1.0
+        self,
+        vehicle: Vehicle,
+        steering: str,
+        samples: int,
+        rng: np.random.Generator,
+        level: float = 1.0,
+        dt: float = DT,
     ) -> None:
-        self.vehicle, self.full = vehicle, authority(vehicle)
+        self.vehicle, self.full, self.dt = vehicle, authority(vehicle), dt
         self.steered = self.full > 0.0
         self.allocate = np.linalg.pinv(vehicle.allocation[self.steered])
         self.inertia = np.diag(vehicle.rigid + vehicle.added)
@@ -165,7 +171,7 @@ class Controller:
         # The error of a speed is that of a place when integrated; a place has an integral of its own beside.
         lasting = np.where(self.by_speed, slow, SLOW_SHARE * self.bandwidth * error)
         most = INTEGRAL * self.full
-        self.integral = np.clip(self.integral + DT * stiffness * lasting, -most, most)
+        self.integral = np.clip(self.integral + self.dt * stiffness * lasting, -most, most)
         wrench = self.inertia * (self.bends[k] + 2.0 * DAMPING * self.bandwidth * slow) + self.integral
         wrench += np.where(self.by_speed, 0.0, stiffness * error)
         wrench = np.clip(wrench, -LIMIT * self.full, LIMIT * self.full)
