@@ -74,8 +74,12 @@ def _flat(state: State) -> Float[Array, " numbers *vehicles"]:
     return jnp.concatenate([state.position, state.attitude, state.velocity, state.memory])
 
 
-def _unflat(y: Float[Array, " numbers *vehicles"]) -> State:
-    return State(y[:3], y[3:7], y[7:13], y[13:])
+def _parted(y: Float[Array, " numbers *vehicles"]) -> tuple[Array, ...]:
+    return y[:3], y[3:7], y[7:13], y[13:]
+
+
+def _unflat(y: Float[Array, " numbers"]) -> State:
+    return State(*_parted(y))
 
 
 def _rates(t, y: Float[Array, " numbers"], args: tuple[Plant, Input]):
@@ -122,7 +126,8 @@ def hold_many(
     """
     args = plant, drives, alike
     after = _stepped(RungeKutta4(), _rates_of_many, drives.t[None], dt[None], _flat(states), args, split)
-    return _unflat(after)
+    # Not made anew, as the vehicles come first in a state of many otherwise.
+    return jax.tree.unflatten(jax.tree.structure(states), _parted(after))
 
 
 def asked(plant: Plant, commands: Float[Array, " columns"], dt) -> Asked:

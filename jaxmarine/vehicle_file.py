@@ -244,7 +244,7 @@ class EffectEntry(Table):
         return self
 
 
-class _VehicleFile(Table):
+class AnyVehicleFile(Table):
     """The vehicle file as it stands, with 6-number diagonals written out.
 
     Actuators beside thrusters have tables `[[key]]` by their kind: see `file_model`.
@@ -297,7 +297,7 @@ class _VehicleFile(Table):
         return thruster
 
     @pydantic.model_validator(mode="after")
-    def _actuators_apart(self) -> "_VehicleFile":
+    def _actuators_apart(self) -> "AnyVehicleFile":
         several = [kind.key for kind in self.kinds if not kind.single]
         tables = [(key, one) for key in several for one in getattr(self, key)]
         names = list(self.thruster_names)
@@ -318,7 +318,7 @@ class _VehicleFile(Table):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _goes_with_its_kinds(self) -> "_VehicleFile":
+    def _goes_with_its_kinds(self) -> "AnyVehicleFile":
         names = list(self.drive_names)
         for one in self.masses:
             for name in one.columns:
@@ -331,7 +331,7 @@ class _VehicleFile(Table):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _accelerates(self) -> "_VehicleFile":
+    def _accelerates(self) -> "AnyVehicleFile":
         free = np.isin(DOFS, self.dof)
         if self.body.inertia is not None:
             inertia = np.array(self.body.inertia)
@@ -443,7 +443,7 @@ def rigid_body(
 
 
 @functools.cache
-def file_model(kinds: tuple[type[AbstractKind], ...]) -> type["_VehicleFile"]:
+def file_model(kinds: tuple[type[AbstractKind], ...]) -> type["AnyVehicleFile"]:
     """The vehicle file with tables of these kinds of actuators."""
     fields: dict[str, Any] = {
         kind.key: (kind.table | None, Field(default=None, description=f"a table [{kind.key}]"))
@@ -451,25 +451,25 @@ def file_model(kinds: tuple[type[AbstractKind], ...]) -> type["_VehicleFile"]:
         else (tuple[kind.table, ...], Field(default=(), description=f"tables [[{kind.key}]]"))
         for kind in kinds
     }
-    model = pydantic.create_model("VehicleFile", __base__=_VehicleFile, **fields)
+    model = pydantic.create_model("VehicleFile", __base__=AnyVehicleFile, **fields)
     model.kinds = kinds
     return model
 
 
 if TYPE_CHECKING:
-    VehicleFile = _VehicleFile
+    VehicleFile = AnyVehicleFile
 else:
     VehicleFile = file_model(KINDS)
 
 
-CheckEffect = Callable[[EffectEntry, VehicleFile], None]
+CheckEffect = Callable[[EffectEntry, AnyVehicleFile], None]
 
 
 def read_vehicle_file(
     path: str | os.PathLike[str],
     check_effect: CheckEffect | None = None,
     kinds: tuple[type[AbstractKind], ...] = KINDS,
-) -> VehicleFile:
+) -> AnyVehicleFile:
     """Read and check a vehicle file; raises `InputError` with one sentence.
 
     - `check_effect` raises a `ValueError` for an effect that it does not know; its message continues
@@ -487,7 +487,7 @@ def read_vehicle_file(
 
 
 def write_vehicle_file(
-    file: VehicleFile,
+    file: AnyVehicleFile,
     path: str | os.PathLike[str],
     head: Iterable[str] = (),
     notes: Mapping[str, Iterable[str]] = MappingProxyType({}),
@@ -506,7 +506,7 @@ def _comments(lines: Iterable[str]) -> str:
     return "".join(f"# {part}\n" for line in lines for part in wrap(line))
 
 
-def _toml(file: VehicleFile, notes: Mapping[str, Iterable[str]]) -> str:
+def _toml(file: AnyVehicleFile, notes: Mapping[str, Iterable[str]]) -> str:
     data = file.model_dump(by_alias=True, exclude_none=True)
     tables = {key: value for key, value in data.items() if isinstance(value, dict) and value}
     keys = ("thruster", *(kind.key for kind in file.kinds if not kind.single))

@@ -16,8 +16,8 @@ from .effects import CATALOGUE, AbstractEffect, Suspect, place
 from .networks import LEARNED, LearnedTerm
 from .vehicle import Body, Damping, Placed, Thrusters, Vehicle
 from .vehicle_file import (
+    AnyVehicleFile,
     EffectEntry,
-    VehicleFile,
     file_model,
     read_vehicle_file,
     rigid_body,
@@ -113,7 +113,7 @@ def with_effect(vehicle: Vehicle, label: str) -> tuple[Vehicle, int]:
     return vehicle.place(Placed(place(suspect, vehicle, start), suspect.target)), len(vehicle.placed)
 
 
-def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
+def _check_effect(entry: EffectEntry, file: AnyVehicleFile) -> None:
     if entry.effect in _LEARNED:
         if entry.arrays is None or not entry.inputs:
             raise ValueError("is a learned term and needs `arrays` and `inputs`.")
@@ -127,7 +127,7 @@ def _check_effect(entry: EffectEntry, file: VehicleFile) -> None:
         )
 
 
-def _vehicle(file: VehicleFile) -> Vehicle:
+def _vehicle(file: AnyVehicleFile) -> Vehicle:
     def column(name: str, width: tuple[int, ...] = ()):
         # Only the thrust astern may be left out, which zero stands for.
         values = [getattr(thruster, name) or 0.0 for thruster in file.thruster]
@@ -207,7 +207,7 @@ def entry_names(suspect: Suspect) -> tuple[str, ...]:
     return tuple(suspect.effect.units)
 
 
-def _load_learned(path: Path, entry: EffectEntry, file: VehicleFile) -> LearnedTerm:
+def _load_learned(path: Path, entry: EffectEntry, file: AnyVehicleFile) -> LearnedTerm:
     beside = file_to_hold(path.parent / str(entry.arrays), _MOST_ARRAY_BYTES)
     try:
         with zipfile.ZipFile(beside) as packed:

@@ -17,26 +17,8 @@ from xdist.scheduler import LoadScopeScheduling
 import tests.typed
 
 # Shapes and types are checked at every call into these rooms, in tests only and before anything is imported.
-# Left out are vehicles, networks and what of `fitting` has such: their records hold JAX's and NumPy's arrays
-# in turn, stacked or not, or stand-ins while Equinox puts others in their place. So are a file's tables, made
-# at reading.
-UNCHECKED = {"effects", "fitting", "networks", "vehicle", "vehicle_file", "vehicle_io"}
-# `_parts`, by which a test tells the package's own functions from others.
-FORMS = {
-    "_dirty",
-    "_estimate",
-    "_filter",
-    "_fit",
-    "_free",
-    "_least_squares",
-    "_linearise",
-    "_subnets",
-    "_windows",
-}
 PACKAGE = Path(__file__).resolve().parent.parent / "jaxmarine"
-ROOMS = {path.stem for path in PACKAGE.glob("[a-z]*")} - UNCHECKED
-FITTING = {path.stem for path in (PACKAGE / "fitting").glob("_[a-z]*.py")} - FORMS - {"_parts"}
-CHECKED = [f"jaxmarine.{name}" for name in sorted((*ROOMS, *(f"fitting.{one}" for one in FITTING)))]
+CHECKED = [f"jaxmarine.{path.stem}" for path in sorted(PACKAGE.glob("[a-z]*"))]
 jaxtyping.install_import_hook(CHECKED, f"{tests.typed.__name__}.checked")
 
 # Dtype promotion stays "standard": optax multiplies integer step counts by floats.

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -71,11 +72,11 @@ def test_logs_that_cannot_tell_are_not_feedback():
 
 def test_what_disturbs_is_said_in_words():
     force = Disturbance(
-        size=np.array([3.0, 0.5, 1.2, 0.04]),
-        time=np.array([4.0, 11.0, 8.0, 8.0]),
-        frequency=np.array([0.0, 0.0, 1.0, 1.0]),
-        gap=np.zeros(1),
-        joined=np.zeros(1, bool),
+        size=jnp.array([3.0, 0.5, 1.2, 0.04]),
+        time=jnp.array([4.0, 11.0, 8.0, 8.0]),
+        frequency=jnp.array([0.0, 0.0, 1.0, 1.0]),
+        gap=jnp.zeros(1),
+        joined=jnp.zeros(1, bool),
         axes=(1, 5),
     )
     said = in_words(known(force))

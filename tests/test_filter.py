@@ -53,14 +53,15 @@ def windows_of(
         axes=(0, 5),
         flows=flows,
     )
-    line = Line(
+    # One by one: a record is of one window.
+    line = jax.vmap(Line)(
         f=normal(STEPS, 13, 13 + AXES + FLOW, scale=0.3),
         h=normal(STEPS, ROWS, 13 + AXES + FLOW, scale=0.5),
         residual=normal(STEPS, ROWS, COLUMNS),
         dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
         begin=normal(13, 12),
     )
-    return Windowed(
+    return jax.vmap(Windowed)(
         line=line,
         states=normal(STEPS, 13),
         end=normal(13, COLUMNS),
@@ -546,7 +547,7 @@ def test_where_nothing_disturbs_sizes_go_to_zero():
 def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     """The wrench on the craft and its covariance with all else are as before, but for what is new."""
     n, rng, nothing = len(axes), np.random.default_rng(3), jnp.zeros(1)
-    level = rng.uniform(1.0, 2.0, n)
+    level = jnp.asarray(rng.uniform(1.0, 2.0, n))
     narrow = Disturbance(level, 3.0 * jnp.ones(n), jnp.zeros(n), nothing, nothing > 0, axes)
 
     def swelling(force: Disturbance) -> Disturbance:
@@ -557,7 +558,9 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
 
     states = 13 + narrow.states
     root = rng.normal(size=(states, states))
-    message = _filter.Message(rng.normal(size=(states, 4)), root @ root.T, rng.normal(size=(13, 4)))
+    message = _filter.Message(
+        *map(jnp.asarray, (rng.normal(size=(states, 4)), root @ root.T, rng.normal(size=(13, 4))))
+    )
     now = narrow
     for name in order.split(", "):
         wider = {"swell": swelling, "current": _filter.flowing}[name](now)
@@ -571,7 +574,7 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     new = np.zeros(13 + n + FLOW)
     new[13 : 13 + n] = np.arange(1.0, n + 1) ** 2
     new[13 + n :] = _filter.USUAL_FLOW.median**2
-    first = _filter.Message(message.mean[:states], root @ root.T, message.end)
+    first = _filter.Message(message.mean[:states], jnp.asarray(root @ root.T), message.end)
     mean, covariance = pushed(now, message)
     before = pushed(narrow, dataclasses.replace(first, mean=message.mean[:states]))
     np.testing.assert_allclose(mean, before[0])

@@ -120,16 +120,19 @@ def test_any_subset_of_the_channels_will_do(channels):
     assert found.converged and (np.abs(values(found) - planted(boat())) < 4.0 * std).all()
 
 
-def test_starts_as_measured_recover_without_noise_and_nothing_else_is_taken():
+def test_starts_as_measured_recover_without_noise():
     log = record(boat(), steps(), noise=dict.fromkeys(NOISE, 1e-6))
     found = fit(
         wrong(boat(), 0.9, 1.2, 0.9), log, everything, entries="nonzero", starts="measured", window=20.0
     )
     # The smoothing of the log moves the starts: 14 % at windows of 4 s, 7 % at 20 s, which forget them.
     np.testing.assert_allclose(values(found), planted(boat()), rtol=0.1)
-    for starts, loss in (("guessed", "trajectory"), ("measured", "one_step")):
-        with pytest.raises(ValueError, match="starts"):
-            fit(boat(), log, everything, starts=starts, loss=loss)
+
+
+@pytest.mark.parametrize(("starts", "loss"), [("guessed", "trajectory"), ("measured", "one_step")])
+def test_starts_that_there_are_not_are_refused(unchecked, starts, loss):
+    with pytest.raises(ValueError, match="starts"):
+        fit(boat(), record(boat(), steps()), everything, starts=starts, loss=loss)
 
 
 def test_no_window_begins_faster_than_the_craft_goes():
@@ -466,7 +469,7 @@ def test_a_prior_relative_to_the_file_does_not_hold_an_effect_that_is_none_yet()
         (lambda v: v.added_mass, {"prior": jnp.ones((6, 6)).at[[1, 5], [5, 1]].set(0.0)}, "give it a width"),
     ],
 )
-def test_what_cannot_be_free_is_said(free, options, says: str):
+def test_what_cannot_be_free_is_said(unchecked, free, options, says: str):
     with pytest.raises(ValueError, match=says):
         set_free(boat(), free, **options)
 

@@ -227,7 +227,7 @@ def test_a_band_is_wider_where_the_network_has_seen_nothing(fit):
 @pytest.mark.parametrize(
     ("solver", "said"), [("newton", "but is 'newton'"), ("gradients", "beside the last one")]
 )
-def test_what_no_training_can_be_is_said(tank, solver, said):
+def test_what_no_training_can_be_is_said(unchecked, tank, solver, said):
     with pytest.raises(ValueError, match=said):
         jm.fit(SHIP, tank[0], lambda v: v.damping.linear, solver=solver)
 

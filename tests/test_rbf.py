@@ -226,7 +226,7 @@ def test_a_vehicle_with_networks_survives_its_file(tmp_path):
     assert np.allclose(lacking, some_term()(nu), rtol=0, atol=1e-12)
 
 
-def test_arrays_that_do_not_fit_together_are_refused(tmp_path):
+def test_arrays_that_do_not_fit_together_are_refused(unchecked, tmp_path):
     term = dataclasses.replace(some_term(), width=jnp.ones(3))
     jm.save_vehicle(packaged("minesniper").place(jm.Placed(term)), tmp_path / "a.toml")
     with pytest.raises(InputError, match="no file of arrays"):

@@ -168,6 +168,7 @@ def test_thrusters_lose_to_the_flow_that_comes_to_them(tmp_path):
             direction = direction / np.linalg.norm(direction)
             force = -loss * abs(c) * (nu[:3] + np.cross(nu[3:], place)) @ direction * direction
             wrench += np.concatenate([force, np.cross(place, force)])
+        acting, nu = jnp.asarray(acting), jnp.asarray(nu)
         changed = lossy.pushed(acting, nu) - plain.pushed(acting, nu)
         # Of small commands of a curve the loss fades.
         np.testing.assert_allclose(changed, wrench, atol=2e-3)
@@ -347,7 +348,7 @@ def test_a_closed_gate_is_a_vehicle_without_the_effect():
     assert np.allclose(opened.acceleration(state, drive), expected, rtol=1e-12, atol=1e-13)
 
 
-def test_wrong_shapes_are_refused():
+def test_wrong_shapes_are_refused(unchecked):
     vehicle = packaged("tethra")
     with pytest.raises(ValueError, match="added_mass"):
         dataclasses.replace(vehicle, added_mass=jnp.zeros((6, 5)))

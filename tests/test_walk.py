@@ -82,7 +82,7 @@ def test_the_walk_runs_as_written_and_prints_what_it_says(folder, capsys, monkey
     run(after, names)
     vehicle, state, wrench = (names[name] for name in ("vehicle", "state", "wrench"))
     assert float(names["track"]["u"][0]) == 0.2
-    drive = Input(np.zeros(4), np.zeros(4), wrench, np.asarray(0.0))
+    drive = Input(jnp.zeros(4), jnp.zeros(4), wrench, jnp.asarray(0.0))
     np.testing.assert_allclose(jm.forward_dynamics(vehicle, state, drive), 0.0, atol=1e-12)
     # The thrusters cannot make all of it: what is missing is none that any of them pushes along.
     pushes = np.asarray(vehicle.plant().allocation)

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -492,7 +493,8 @@ def test_what_was_before_windows_is_the_path_of_those_before_them():
     log, begins = [0, 0, 0, 0, 1, 1], [10, 13, 20, 23, 0, 3]
     step = np.array(begins)[:, None] + np.arange(3)
     states = np.arange(18.0)[:, None] * np.ones(13)
-    windows = Windows(jnp.array(log), jnp.asarray(step), *jnp.zeros((5, 6, 1)))
+    shapes = (3, 1), (3, 1), (3,), (4,), (6,)
+    windows = Windows(jnp.array(log), jnp.asarray(step), *(jnp.zeros((6, *shape)) for shape in shapes))
     dt = jnp.ones((2, 30)).at[1, 2].set(100.0)
     whole = [jnp.zeros((2, 30, width)) for width in (1, 6, 4, 6)]
     records = Records(dt, dt, jnp.ones((2, 30)), *whole, jnp.zeros((2, 30), int))
@@ -541,8 +543,8 @@ def test_who_begins_within_a_window_is_in_nothing_before(begun, named):
         if k < first:
             acts = np.zeros(window.end.shape[-1])
             acts[[*filed, *np.concatenate([*own, []]).astype(int), -1]] = 1.0
-            line = dataclasses.replace(window.line, residual=window.line.residual * acts)
-            window = dataclasses.replace(window, line=line, end=window.end * acts)
+            seen = window.line.residual * acts, window.end * acts
+            window = eqx.tree_at(lambda w: (w.line.residual, w.end), window, seen)
         assert after.add(window, Place(*(one[k] for one in ledger.places))) is not None
     account = after.accounts[0]
     since = since_each(account, [0, first], after.begun_at[: after.held], after.counts)

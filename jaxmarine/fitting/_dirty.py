@@ -55,7 +55,7 @@ def without_accidents(vehicle: Vehicle, log: Log, track: StateTrack, drive: Driv
     gone = (~np.isfinite(log.channels).any(axis=1)).astype(float)
     read = np.convolve(gone, np.ones(2 * round(4 * HALF / log.dt) + 1), "same") < 0.5
     looks: dict[Reason, Bool[np.ndarray, " times"]] = {
-        "surfacing": _surfacing(log, track, drive, vehicle.free[2] > 0),
+        "surfacing": _surfacing(log, track, drive, bool(vehicle.free[2] > 0)),
         "collision": _collision(log, drive),
         "take-over": _take_over(log, drive, read),
     }

@@ -158,14 +158,14 @@ class Disturbance(eqx.Module):
 
 
 class Path(eqx.Module):
-    """About what the windows are linearised.
+    """About what the windows are linearised, or one window.
 
     - `delta`: changes of their initial states (`State.moved`); `push`: the wrench on the disturbance's axes
       and the velocity of the water that are expected in their middle.
     """
 
-    delta: Float[Array, "windows 12"]
-    push: Float[Array, "windows pushes"]
+    delta: Float[Array, "*windows 12"]
+    push: Float[Array, "*windows pushes"]
 
     @classmethod
     def measured(cls, count: int, axes: tuple[int, ...]) -> "Path":
@@ -176,12 +176,13 @@ class Path(eqx.Module):
 class Line(eqx.Module):
     """A window as a linear system: states from sample to sample, and what is measured, by state and pushes.
 
+    - `driven`: the 13 numbers of a state, and behind them what pushes.
     - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
     - `begin`: derivative of the first state by the twelve changes of the initial state.
     """
 
-    f: Float[Array, "steps 13 13+pushes"]
-    h: Float[Array, "steps rows 13+pushes"]
+    f: Float[Array, "steps 13 driven"]
+    h: Float[Array, "steps rows driven"]
     residual: Float[Array, "steps rows columns"]
     dt: Float[Array, " steps"]
     begin: Float[Array, "13 12"]
@@ -198,24 +199,27 @@ class Passed(eqx.Module):
     Columns: what is asked for, twelve changes of the first state, the disturbance's first states, and 1.
 
     - `information`: of the whitened residuals by the columns; `log_det` of their covariance.
-    - `last`: by the columns, how far state and disturbance after its last hold are below those of the path
-      without a disturbance; `covariance` of these.
+    - `last`: by the columns, how far state and disturbance, the 13 numbers of the one and behind them those
+      of the other, are below those of the path without a disturbance after its last hold; `covariance` of
+      these `joint` numbers.
     """
 
     information: Float[Array, "columns columns"]
     log_det: Float[Array, ""]
-    last: Float[Array, "13+states columns"]
-    covariance: Float[Array, "13+states 13+states"]
+    last: Float[Array, "joint columns"]
+    covariance: Float[Array, "joint joint"]
 
 
 class Message(eqx.Module):
     """What is known of state and disturbance where a window ends, by the columns that stay.
 
+    They are `joint`, as of `Passed`.
+
     - `mean`: how far these are below those of the path without one, which ends at `end`; `covariance`.
     """
 
-    mean: Float[Array, "13+states columns"]
-    covariance: Float[Array, "13+states 13+states"]
+    mean: Float[Array, "joint columns"]
+    covariance: Float[Array, "joint joint"]
     end: Float[Array, "13 columns"]
 
     def widened(self, force: Disturbance, wider: Disturbance) -> "Message":
@@ -230,7 +234,7 @@ class Message(eqx.Module):
         return Message(mean, unknown.at[np.ix_(kept, kept)].set(self.covariance), self.end)
 
 
-def _throughout(by: Float[Array, "*rows knots*6+flow"], force: Disturbance) -> Float[Array, "*rows pushes"]:
+def _throughout(by: Float[Array, "*rows given"], force: Disturbance) -> Float[Array, "*rows pushes"]:
     """Derivatives by what pushes throughout, from those by a wrench's knots on six axes, and by the water."""
     by_knots, by_water = by[..., :-FLOW], by[..., -FLOW:]
     by_wrench = by_knots.reshape(*by.shape[:-1], -1, 6).sum(-2)[..., np.array(force.axes)]
@@ -253,13 +257,13 @@ def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbanc
 
 
 class Begun(NamedTuple):
-    """State and disturbance [13+states] at a sample: how far below the path's, by some columns.
+    """State and disturbance (`joint`, as of `Passed`) at a sample: how far below the path's, by some columns.
 
     - `log_det`: of the covariance of all that was measured before.
     """
 
-    mean: Float[Array, "13+states columns"]
-    covariance: Float[Array, "13+states 13+states"]
+    mean: Float[Array, "joint columns"]
+    covariance: Float[Array, "joint joint"]
     log_det: Float[Array, ""]
 
 
@@ -311,8 +315,8 @@ def filtered(line: Line, force: Disturbance) -> Passed:
 
 def _passed_on(
     passed: Passed,
-    mean: Float[Array, "12+states columns"],
-    covariance: Float[Array, "12+states 12+states"],
+    mean: Float[Array, "first columns"],
+    covariance: Float[Array, "first first"],
     end: Float[Array, "13 columns"],
 ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
     """The information and the determinant of a window that begins so, and what it tells the next."""
@@ -374,10 +378,13 @@ def _spread(problem: Problem) -> Float[Array, "12"]:
 
 
 class Free(eqx.Module):
-    """Derivatives of a window's residuals and of its end by a wrench that is free in each of its knots."""
+    """Derivatives of a window's residuals and of its end by a wrench that is free in each of its knots.
 
-    residual: Float[Array, "steps rows knots*6"]
-    end: Float[Array, "13 knots*6"]
+    - `wrenches`: six numbers of each knot in turn.
+    """
+
+    residual: Float[Array, "steps rows wrenches"]
+    end: Float[Array, "13 wrenches"]
 
     def along(self, shapes: Float[Array, "knots 6 shapes"]) -> tuple[Array, Array]:
         """Those by the sizes of wrenches of given shapes."""
@@ -400,7 +407,7 @@ class Windowed(eqx.Module):
     joined: Bool[Array, ""]
 
     @property
-    def start(self) -> Float[Array, "13"]:
+    def start(self) -> Float[Array | np.ndarray, "13"]:
         """Where its path begins."""
         return self.states[0]
 
@@ -438,7 +445,7 @@ class Windowed(eqx.Module):
 
     def begun(
         self, message: Message, force: Disturbance, spread: Float[Array, "12"]
-    ) -> tuple[Float[Array, "12+states columns"], Float[Array, "12+states 12+states"]]:
+    ) -> tuple[Float[Array, "first columns"], Float[Array, "first first"]]:
         """Mean and covariance of the twelve changes of its first state, and of the disturbance's first."""
         carried = jnp.zeros((12 + force.states, 13 + force.states))
         carried = carried.at[:12, :13].set(jnp.where(self.joined, self.line.back, 0.0))
@@ -802,14 +809,13 @@ def with_swell(
     n = len(force.axes)
     own, flow = slice(0, n), slice(n, None)
     time = [jnp.maximum(force.time[own], USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
-    small = dataclasses.replace(
-        force,
-        size=jnp.concatenate([force.size[own] * LEFT, force.size]),
-        time=jnp.concatenate([*time, force.time[flow]]),
-    )
+    both = {
+        "size": jnp.concatenate([force.size[own] * LEFT, force.size]),
+        "time": jnp.concatenate([*time, force.time[flow]]),
+    }
     swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
     frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[flow]]) for one in swinging]
-    swells = [dataclasses.replace(small, frequency=one) for one in frequencies]
+    swells = [dataclasses.replace(force, **both, frequency=one) for one in frequencies]
     return _likeliest(spread, every, swells, unit, worth)
 
 

@@ -327,8 +327,8 @@ class _Asked(NamedTuple):
         return self.wide is not None
 
     @property
-    def held(self) -> Any:
-        return self.std == 0.0
+    def held(self) -> np.ndarray:
+        return np.asarray(self.std == 0.0)
 
 
 def _free_inertia(vehicle: Vehicle, asked: _Asked, entries: Selection, linear: bool):
@@ -582,7 +582,7 @@ def _damping_size(vehicle: Vehicle, leaf: np.ndarray) -> np.ndarray:
 
 
 def _inertia(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Inertia:
-    axes = np.flatnonzero(vehicle.free)
+    axes = vehicle.axes
     block = np.ix_(axes, axes)
     total = np.asarray(vehicle.mass_matrix)[block]
     total = (total + total.T) / 2
@@ -606,16 +606,16 @@ def _inertia(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) ->
         rest=jnp.asarray(rest),
         soft=jnp.asarray(soft),
         names=tuple(_entry(name, axes[i], axes[j], ",") for i, j in lower),
-        axes=tuple(axes.tolist()),
+        axes=axes,
         lower=lower,
     )
 
 
 def _dissipative(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray) -> Dissipative:
-    axes = np.flatnonzero(vehicle.free)
+    axes = vehicle.axes
     block = np.ix_(axes, axes)
     matrix, blocks = leaf[block], _blocks(mask[block])
-    scale = np.sqrt(np.diag(_damping_size(vehicle, leaf))[axes])
+    scale = np.sqrt(np.diag(_damping_size(vehicle, leaf)[block]))
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2 / np.outer(scale, scale))
     symmetric = (vectors * np.maximum(values, _FLOOR)) @ vectors.T * np.outer(scale, scale)
     # Flooring may fill what was zero; outside the blocks the matrix stays as it is.
@@ -631,7 +631,7 @@ def _dissipative(vehicle: Vehicle, name: str, leaf: np.ndarray, mask: np.ndarray
         leaf=jnp.asarray(leaf),
         rest=jnp.asarray(rest + np.where(blocks, 0.0, skew)),
         names=tuple(_entry(name, axes[i], axes[j], "<-") for i, j in lower + upper),
-        axes=tuple(axes.tolist()),
+        axes=axes,
         lower=tuple(lower),
     )
 

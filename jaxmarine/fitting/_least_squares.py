@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from .._errors import InputError
 from .._precision import need_double
@@ -73,7 +73,7 @@ def resample_linear(
     matrix: Float[Array, "samples axes p"],
     right: Float[Array, "samples axes"],
     members: Int[Array, "groups most"],
-    keys: PRNGKeyArray,
+    keys: Key[Array, " draws"],
 ) -> Float[Array, "draws p"]:
     """Least squares once per key, on as many groups of samples as there are, drawn with replacement.
 

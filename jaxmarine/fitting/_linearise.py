@@ -27,15 +27,15 @@ BATCH = 10
 class Statistics(eqx.Module):
     """Chi-square and normal equations of each window, `x` for its initial state, `z` for the parameters.
 
-    - `h_zz`: of each window, or one, their sum (`Problem.apart`).
+    - `h_zz`: of each window, or one, their sum (`Problem.apart`). Of one window alone, likewise.
     """
 
-    chi2: Float[Array, " windows"]
-    g_x: Float[Array, "windows 12"]
-    g_z: Float[Array, "windows z"]
-    h_xx: Float[Array, "windows 12 12"]
-    h_xz: Float[Array, "windows 12 z"]
-    h_zz: Float[Array, "groups z z"]
+    chi2: Float[Array, "*windows"]
+    g_x: Float[Array, "*windows 12"]
+    g_z: Float[Array, "*windows z"]
+    h_xx: Float[Array, "*windows 12 12"]
+    h_xz: Float[Array, "*windows 12 z"]
+    h_zz: Float[Array, "*groups z z"]
 
     @eqx.filter_jit
     def reduced(self):

@@ -270,7 +270,7 @@ def _estimate(task: OneStep, z, residual, slope, group, steps: int, result) -> E
         information=information,
         spurious=np.zeros((len(z), len(z))),
         chi2=chi2,
-        freedom=int((np.asarray(task.samples.weight) > 0).sum()) - len(z),
+        freedom=float((np.asarray(task.samples.weight) > 0).sum()) - len(z),
         steps=steps,
         converged=bool(result == optx.RESULTS.successful) and bool(np.isfinite(chi2)),
         result=optx.RESULTS[result] or "converged",  # pyrefly: ignore[bad-argument-type]

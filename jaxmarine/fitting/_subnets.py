@@ -186,7 +186,7 @@ def _basis(symmetric: bool, pattern) -> Float[Array, "k 6 6"]:
     return jnp.asarray(np.array(out))
 
 
-def _spread(x: Motions) -> Float[Array, " columns"]:
+def _spread(x: Float[Array, "samples columns"]) -> Float[Array, " columns"]:
     spread = jnp.std(x, axis=0)
     return jnp.where(spread > 0, spread, 1.0)
 

@@ -189,11 +189,14 @@ class Room:
             width = [(0, self.logs - logs), (0, self.steps - a.shape[1])] + [(0, 0)] * (a.ndim - 2)
             return np.pad(a, width, mode="edge")
 
-        records = dataclasses.replace(records, t=np.concatenate([records.t, after], axis=1))
+        # Put in place, not `replace`d: records are JAX's arrays when they are made.
+        longer = eqx.tree_at(
+            lambda r: r.t, jax.tree.map(stretch, records), stretch(np.concatenate([records.t, after], axis=1))
+        )
         again = jax.tree.map(lambda a: np.repeat(a[-1:], self.windows - len(a), axis=0), windows)
-        again = dataclasses.replace(again, weight=np.zeros_like(again.weight))
-        longer = jax.tree.map(lambda a, b: np.concatenate([a, b]), windows, again)
-        return jax.tree.map(jnp.asarray, (jax.tree.map(stretch, records), longer))
+        again = eqx.tree_at(lambda w: w.weight, again, np.zeros_like(again.weight))
+        more_windows = jax.tree.map(lambda a, b: np.concatenate([a, b]), windows, again)
+        return jax.tree.map(jnp.asarray, (longer, more_windows))
 
 
 def _settled(vehicle: Vehicle, log: Log) -> int:

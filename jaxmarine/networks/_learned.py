@@ -1,7 +1,7 @@
 """A wrench that no known effect explains, learned as a network of measured signals."""
 
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -92,7 +92,7 @@ class LearnedWrench(LearnedTerm, WrenchEffect):
         return cls(**values, target=str(target), inputs=inputs, thrusters=craft.drive_names)
 
     @property
-    def network(self) -> tuple[Array, ...]:
+    def network(self) -> tuple[Any, ...]:
         """What is trained."""
         return self.weight_1, self.bias_1, self.weight_2, self.bias_2
 

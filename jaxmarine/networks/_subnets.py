@@ -21,12 +21,12 @@ SKEW = np.tril_indices(6, -1)
 
 
 class Perceptron(eqx.Module):
-    """One hidden layer of hyperbolic tangents and a linear node for each output."""
+    """One hidden layer of hyperbolic tangents and a linear node for each output; or several, stacked."""
 
-    weight_1: Float[Array, "hidden inputs"]
-    bias_1: Float[Array, " hidden"]
-    weight_2: Float[Array, "outputs hidden"]
-    bias_2: Float[Array, " outputs"]
+    weight_1: Float[Array, "*nets hidden inputs"]
+    bias_1: Float[Array, "*nets hidden"]
+    weight_2: Float[Array, "*nets outputs hidden"]
+    bias_2: Float[Array, "*nets outputs"]
 
     def __call__(self, x: Float[Array, " inputs"]) -> Float[Array, " outputs"]:
         return apply(self.weight_2, jnp.tanh(apply(self.weight_1, x) + self.bias_1)) + self.bias_2

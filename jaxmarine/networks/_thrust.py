@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +40,7 @@ class LearnedThrust(LearnedTerm, DriveEffect):
     lag: Float[Array, " thrusters"]
 
     @property
-    def network(self) -> tuple[Array, ...]:
+    def network(self) -> tuple[Any, ...]:
         """What is trained, besides `lag`."""
         return self.slope, self.bias, self.weight
 

@@ -10,6 +10,7 @@ import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -273,7 +274,7 @@ class Bench:
         residual, end = np.array(window.line.residual), np.array(window.end)
         residual[..., -1] -= residual[..., :-1] @ z
         end[..., -1] -= end[..., :-1] @ z
-        return dataclasses.replace(window, line=dataclasses.replace(window.line, residual=residual), end=end)
+        return eqx.tree_at(lambda one: (one.line.residual, one.end), window, (residual, end))
 
     def _seen(self, rows: Rows, begun: "Begun", trail: Float[np.ndarray, "_ 13"]) -> "Seen":
         """Arguments as of `window`."""

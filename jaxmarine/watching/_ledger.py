@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -387,19 +388,14 @@ class Ledger:
         ends = end[..., -1] + np.einsum("bsz,bz->bs", end[..., :-1], z)
         # Blocks that are held no more leave their numbers behind.
         live = np.arange(2 * CHUNK) < self.held
-        line = dataclasses.replace(
-            line,
-            residual=jnp.asarray(np.where(live[:, None, None], residual, 0.0)[..., None]),
-            h=jnp.asarray(np.where(live[:, None, None, None], line.h, 0.0)),
-        )
+        residual = np.where(live[:, None, None], residual, 0.0)[..., None]
+        h = np.where(live[:, None, None, None], line.h, 0.0)
         gap, joined = np.array(self.windows.gap), np.array(self.windows.joined)
         gap[0], joined[0] = LONG, False
-        return dataclasses.replace(
+        return eqx.tree_at(
+            lambda w: (w.line.residual, w.line.h, w.end, w.gap, w.joined),
             self.windows,
-            line=line,
-            end=jnp.asarray(ends[..., None]),
-            gap=jnp.asarray(gap),
-            joined=jnp.asarray(joined),
+            tuple(map(jnp.asarray, (residual, h, ends[..., None], gap, joined))),
         )
 
     def _take(self, account: Account, found: Estimated) -> None:
@@ -518,8 +514,8 @@ def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: S
     for columns, since in gates:
         acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
         acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
-        line = dataclasses.replace(blocks.line, residual=blocks.line.residual * acts[..., None, None, :])
-        blocks = dataclasses.replace(blocks, line=line, end=blocks.end * acts[..., None, :])
+        told = blocks.line.residual * acts[..., None, None, :], blocks.end * acts[..., None, :]
+        blocks = eqx.tree_at(lambda w: (w.line.residual, w.end), blocks, told)
     return blocks
 
 
