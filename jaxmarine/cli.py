@@ -285,6 +285,7 @@ def _write(result, out: Path, said: Sequence[str] = ()) -> None:
             f"  jaxmarine plan --vehicle VEHICLE {causes}"
         )
     _say_gain(result)
+    _say(f"Extended vehicle: {out / 'extended.toml'}")
     _say(f"Report: {page}")
 
 

@@ -236,6 +236,12 @@ class Vehicle(eqx.Module):
         return *self.thruster_names, *(name for one in self.actuators for name in one.columns)
 
     @property
+    def command_units(self) -> tuple[str, ...]:
+        """The unit of each command column, "1" of shares such as a thruster's."""
+        shares = ("1",) * len(self.thruster_names)
+        return *shares, *(unit for one in (*self.actuators, *self.masses) for unit in one.units)
+
+    @property
     def command_limits(self) -> np.ndarray:
         """The largest command allowed per command column."""
         limits = np.maximum(1.0, np.asarray(self.thrusters.saturation))

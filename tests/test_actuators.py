@@ -863,6 +863,10 @@ class Flaps(AbstractActuators):
         return self.names
 
     @property
+    def units(self):
+        return ("1",) * len(self.names)
+
+    @property
     def limits(self):
         return np.ones(len(self.names))
 
@@ -909,6 +913,7 @@ def test_a_kind_of_ones_own_is_read_and_driven(tmp_path):
         read(tmp_path, text)
     craft = read(tmp_path, text, kinds=(*KINDS, Flaps))
     assert craft.command_names == ("prop", "rudder", "brake")
+    assert craft.command_units == ("rev/s", "rad", "1")
     jm.save_vehicle(craft, tmp_path / "again.toml")
     again = jm.load_vehicle(tmp_path / "again.toml", kinds=(*KINDS, Flaps))
     assert jax.tree.structure(again) == jax.tree.structure(craft)
@@ -941,6 +946,7 @@ def test_a_craft_of_all_kinds_is_driven(tmp_path):
     craft = read(tmp_path, SHIP + AZIMUTH + WIND)
     names = ("pod", "bow", "pod_angle", "prop", "rudder", "wind_speed", "wind_direction")
     assert craft.command_names == names
+    assert craft.command_units == ("1", "1", "rad", "rev/s", "rad", "m/s", "rad")
     learned = jm.Placed(learned_thrust(craft.thruster_names, -np.ones(2), np.ones(2)))
     base = np.array([0.5, 0.2, 0.3, 10.0, 0.2, 4.0, 1.0])
 

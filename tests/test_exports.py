@@ -193,6 +193,16 @@ def test_an_fmu_runs_as_simulate(tmp_path, monkeypatch):
     export(vehicle, tmp_path / "ship.fmu", "fmi3")
     described = fmpy.read_model_description(str(tmp_path / "ship.fmu"), validate=True)
     assert described.fmiVersion == "3.0" and described.coSimulation is not None
+    # Of newton metres and revolutions in the SI's own units, as a tool converts them.
+    units = {one.name: one.unit for one in described.modelVariables}
+    assert [units[name] for name in ("time", "x", "psi", "u", "r", "u_start", "X", "N")] == [
+        *("s", "m", "rad", "m/s", "rad/s", "m/s", "N", "N m")
+    ]
+    assert [units[name] for name in vehicle.command_names] == ["rev/s", "rad"]
+    base = {one.name: one.baseUnit for one in described.unitDefinitions}
+    assert (base["N m"].kg, base["N m"].m, base["N m"].s, base["N m"].factor) == (1, 2, -2, 1.0)
+    turn = base["rev/s"]
+    assert (turn.rad, turn.s, turn.m) == (1, -1, 0) and turn.factor == pytest.approx(2.0 * np.pi, rel=1e-15)
     names = ("X", "Y", "Z", "K", "M", "N", *vehicle.command_names)
     rows = [(t, *(0.0,) * 6, *row) for t, row in zip(T, commands, strict=True)]
     shown = CHANNELS[:12]

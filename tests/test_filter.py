@@ -19,8 +19,9 @@ from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent
-from jaxmarine.fitting import _filter, with_current
-from jaxmarine.fitting._filter import FLOW, Disturbance, Line, Logarithms, Windowed
+from jaxmarine.fitting import _filter, flowing, with_current
+from jaxmarine.fitting._disturbance import FLOW, USUAL_FLOW, Disturbance, Logarithms
+from jaxmarine.fitting._filter import Line, Windowed
 from jaxmarine.logs import Log
 from jaxmarine.physics import LATE, late
 from jaxmarine.simulation import initial_state, simulate
@@ -88,12 +89,33 @@ def left(force: Disturbance, dt: float) -> np.ndarray:
 
     The water's two velocities are no pair: they decay alike, and do not turn.
     """
-    blocks = [np.atleast_2d(np.exp(-dt / t)) for t in np.asarray(force.time)[:AXES]]
+    return expm(dt * rates_of(force))
+
+
+def rates_of(force: Disturbance) -> np.ndarray:
+    """The derivative of the disturbance's states by themselves."""
+    blocks = [np.atleast_2d(-1.0 / t) for t in np.asarray(force.time)[:AXES]]
     for time, frequency in zip(
         np.asarray(force.time)[AXES:], np.asarray(force.frequency)[AXES:], strict=True
     ):
-        blocks.append(expm(dt * np.array([[-1 / time, -frequency], [frequency, -1 / time]])))
+        blocks.append(np.array([[-1 / time, -frequency], [frequency, -1 / time]]))
     return block_diag(*blocks)
+
+
+def van_loan(force: Disturbance, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of the disturbance's states after some time, and of their mean over it: by the states before, and new.
+
+    By matrix exponentials of the states beside their integral (Van Loan, 1978).
+    """
+    rates, size = rates_of(force), np.asarray(force.level)
+    n = len(rates)
+    along = np.block([[rates, np.zeros((n, n))], [np.eye(n) / dt, np.zeros((n, n))]])
+    noise = np.zeros_like(along)
+    noise[:n, :n] = np.diag(-2.0 * np.diag(rates) * size**2)
+    power = expm(dt * np.block([[-along, noise], [np.zeros_like(along), along.T]]))
+    goes_on = power[2 * n :, 2 * n :].T
+    spread = goes_on @ power[: 2 * n, 2 * n :]
+    return goes_on[:, :n], 0.5 * (spread + spread.T)
 
 
 def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
@@ -112,7 +134,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         own = np.diag(size[states] ** 2)
         return np.linalg.cholesky(own - stays @ own @ stays.T + 1e-300 * np.eye(len(own)))
 
-    count, news = len(every.gap), len(every.gap) * (12 + len(states) * (STEPS + 1))
+    count, news = len(every.gap), len(every.gap) * (12 + len(states) * (2 * STEPS + 1))
     at, rows, seen = 0, [], []
     state, wrench = np.zeros((13, news)), np.zeros((len(states), news))
     known, before = np.zeros((13, COLUMNS)), np.zeros((13, COLUMNS))
@@ -133,16 +155,47 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         wrench[:, at : at + len(states)] += new(stays)
         at += len(states)
         for k in range(STEPS):
-            h, f, stays = window.line.h[k], window.line.f[k], left(force, float(window.line.dt[k]))
+            h, f = window.line.h[k], window.line.f[k]
             rows.append(h @ np.concatenate([state, output @ wrench]))
             seen.append(window.line.residual[k] - h[:, :13] @ known)
-            state, known = f @ np.concatenate([state, output @ wrench]), f[:, :13] @ known
-            wrench = stays @ wrench
-            wrench[:, at : at + len(states)] += new(stays)
-            at += len(states)
+            goes_on, spread = van_loan(force, float(window.line.dt[k]))
+            both = goes_on @ wrench
+            both[:, at : at + len(both)] += np.linalg.cholesky(spread + 1e-15 * np.eye(len(both)))
+            at += len(both)
+            wrench, mean = np.split(both, 2)
+            state, known = f @ np.concatenate([state, output @ mean]), f[:, :13] @ known
         before = window.end
     b = np.concatenate(rows)
     return np.concatenate(seen), b @ b.T + np.eye(len(b))
+
+
+@pytest.mark.parametrize(
+    ("share", "off"), [(0.01, 1e-12), (0.3, 1e-12), (1.0, 1e-12), (4.0, 1e-9), (12.0, 1e-3)]
+)
+def test_a_disturbance_over_a_hold_is_its_integral(share, off):
+    """Means and what is new in them, for holds from a hundredth of its memories to many of them."""
+    _, force = windows_of([False], [1e6], swells=True, flows=True)
+    dt, n = share * float(force.time.min()), force.states
+    goes_on, spread = van_loan(force, dt)
+    over = force.over(jnp.asarray(dt))
+    level = np.outer(force.level, force.level)
+    # Eight places of an integral tell no more.
+    close = {"rtol": 0, "atol": off}
+    np.testing.assert_allclose(over.mean, goes_on[n:], **close)
+    np.testing.assert_allclose(over.variance / level, spread[n:, n:] / level, **close)
+    np.testing.assert_allclose(over.covariance / level, spread[:n, n:] / level, **close)
+    # The states themselves are what they were.
+    np.testing.assert_allclose(force.after(jnp.asarray(dt), jnp.eye(n)), goes_on[:n], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        force.new(jnp.asarray(dt)) / np.diag(level), np.diag(spread[:n, :n] / level), **close
+    )
+
+
+def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
+    _, force = windows_of([False], [1e6])
+    over = dataclasses.replace(force, time=jnp.full(AXES, 1e12)).over(jnp.asarray(0.1))
+    np.testing.assert_allclose(over.mean, np.eye(AXES), atol=1e-12)
+    assert 0.0 <= np.abs(over.variance).max() < 1e-12
 
 
 @pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, True)])
@@ -563,7 +616,7 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     )
     now = narrow
     for name in order.split(", "):
-        wider = {"swell": swelling, "current": _filter.flowing}[name](now)
+        wider = {"swell": swelling, "current": flowing}[name](now)
         message, now = message.widened(now, wider), wider
     assert now.kind == (True, True)
 
@@ -573,7 +626,7 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
 
     new = np.zeros(13 + n + FLOW)
     new[13 : 13 + n] = np.arange(1.0, n + 1) ** 2
-    new[13 + n :] = _filter.USUAL_FLOW.median**2
+    new[13 + n :] = USUAL_FLOW.median**2
     first = _filter.Message(message.mean[:states], jnp.asarray(root @ root.T), message.end)
     mean, covariance = pushed(now, message)
     before = pushed(narrow, dataclasses.replace(first, mean=message.mean[:states]))

@@ -89,6 +89,11 @@ class AbstractKind(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def units(self) -> tuple[str, ...]:
+        """The unit of each column, "1" of shares."""
+
+    @property
+    @abc.abstractmethod
     def limits(self) -> Float[np.ndarray, " columns"]:
         """The largest |command| that a log may hold, per column."""
 
@@ -140,6 +145,10 @@ class AbstractHull(AbstractActuators):
 
     @property
     def columns(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def units(self) -> tuple[str, ...]:
         return ()
 
     @property

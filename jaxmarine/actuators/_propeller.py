@@ -151,6 +151,10 @@ class Propellers(AbstractActuators):
         return *self.names, *(f"{self.names[i]}_angle" for i in self.swivels)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("rev/s",) * len(self.names) + ("rad",) * len(self.swivels)
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         return np.append(self.max_speed, np.full(len(self.swivels), AZIMUTH))
 

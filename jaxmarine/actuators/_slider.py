@@ -108,6 +108,10 @@ class Slider(AbstractMasses):
         return self.names
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("1",) * len(self.names)
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         return np.ones(1)
 

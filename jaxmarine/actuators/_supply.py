@@ -73,6 +73,10 @@ class Supply(AbstractActuators):
         return (BATTERY,)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("V",)
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         return np.array([_MOST])
 

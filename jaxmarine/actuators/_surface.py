@@ -211,6 +211,10 @@ class Surfaces(AbstractActuators):
         return tuple(self.names[i] for i in self._moving)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("rad",) * len(self._moving)
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         """Beyond `max_angle` a command is one that is not reached; beyond half a turn it is no deflection."""
         return np.full(len(self._moving), math.pi)

@@ -62,6 +62,10 @@ class Swivels(AbstractActuators):
         return tuple(f"{name}_angle" for name in self.names)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("rad",) * len(self.names)
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         return np.full(len(self.names), AZIMUTH)
 

@@ -80,6 +80,10 @@ class Wind(AbstractActuators):
         return WIND
 
     @property
+    def units(self) -> tuple[str, ...]:
+        return ("m/s", "rad")
+
+    @property
     def limits(self) -> Float[np.ndarray, " columns"]:
         return np.array([_STORM, _TURNS])
 

@@ -5,12 +5,32 @@ import math
 from pathlib import Path
 
 import casadi
-from pythonfmu3 import DefaultExperiment, Float64, Fmi3Causality, Fmi3Slave, Fmi3StepResult, Fmi3Variability
+from pythonfmu3 import (
+    DefaultExperiment,
+    Float64,
+    Fmi3Causality,
+    Fmi3Slave,
+    Fmi3StepResult,
+    Fmi3Variability,
+    Unit,
+)
 
 # Where the vehicle begins: position [m] NED, roll, pitch, yaw [rad], body velocities [m/s, rad/s].
 _PARTS = {"position": 3, "attitude": 3, "velocity": 6}
 # The control wrench at `o` beside the commands, body axes [N, N m].
-_WRENCH = ("X", "Y", "Z", "K", "M", "N")
+_WRENCH = {"X": "N", "Y": "N", "Z": "N", "K": "N m", "M": "N m", "N": "N m"}
+# Units by powers of the SI's own; a share has none.
+_UNITS = {
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "rad": {"rad": 1},
+    "m/s": {"m": 1, "s": -1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rev/s": {"rad": 1, "s": -1, "factor": 2.0 * math.pi},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N m": {"kg": 1, "m": 2, "s": -2},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+}
 
 
 class MarineVehicle(Fmi3Slave):
@@ -33,10 +53,19 @@ class MarineVehicle(Fmi3Slave):
         self.description = " ".join([told["vehicle"] + ".", *told["notes"]])
         self.default_experiment = DefaultExperiment(start_time=0.0, step_size=told["longest_step"])
 
+        units = {**_WRENCH, **{name: unit for name, unit in told["units"].items() if unit in _UNITS}}
+        self._unit = {**units, **{f"{name}_start": units[name] for name in told["shown"]}, "time": "s"}
+        self.register_units([Unit(name, **_UNITS[name]) for name in dict.fromkeys(self._unit.values())])
+
         self.time = 0.0
         causality, variability = Fmi3Causality, Fmi3Variability
         self.register_variable(
-            Float64("time", causality=causality.independent, variability=variability.continuous)
+            Float64(
+                "time",
+                causality=causality.independent,
+                variability=variability.continuous,
+                unit=self._unit["time"],
+            )
         )
         for name in self._begin:
             self._register(name, self._begin, causality.parameter, variability.fixed)
@@ -48,6 +77,7 @@ class MarineVehicle(Fmi3Slave):
                     name,
                     causality=causality.output,
                     variability=variability.continuous,
+                    unit=self._unit[name],
                     getter=lambda k=k: self._shown()[k],
                 )
             )
@@ -58,6 +88,7 @@ class MarineVehicle(Fmi3Slave):
                 name,
                 causality=causality,
                 variability=variability,
+                unit=self._unit.get(name),
                 getter=lambda: values[name],
                 setter=lambda value: values.__setitem__(name, value),
             )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .._files import written_whole
+from .._types import CHANNEL_UNITS
 from ..vehicle import Vehicle
 from . import _lost
 from ._model import SHOWN, Model
@@ -37,11 +38,13 @@ def functions(vehicle: Vehicle) -> tuple[Model, dict[str, Any]]:
 
 def described(vehicle: Vehicle, model: Model, notes: Sequence[str]) -> dict[str, Any]:
     """What a reader of the functions must know."""
+    units = dict(zip(vehicle.command_names, vehicle.command_units, strict=True)) | CHANNEL_UNITS
     return {
         "vehicle": vehicle.name,
         "state": model.state_names,
         "command": model.command_names,
         "shown": SHOWN,
+        "units": {name: units[name] for name in (*model.command_names, *SHOWN)},
         "longest_step": model.longest_step,
         "notes": list(notes),
     }

@@ -24,19 +24,20 @@ from ._check import (
 from ._check import (
     sparkline as sparkline,
 )
+from ._disturbance import USUAL_MEMORY as USUAL_MEMORY
+from ._disturbance import USUAL_SIZE as USUAL_SIZE
+from ._disturbance import Disturbance as Disturbance
+from ._disturbance import count_of as count_of
+from ._disturbance import flowing as flowing
+from ._disturbance import unusual as unusual
 from ._feedback import answers as answers
-from ._filter import USUAL_MEMORY as USUAL_MEMORY
-from ._filter import USUAL_SIZE as USUAL_SIZE
-from ._filter import Disturbance as Disturbance
 from ._filter import Likelihood as Likelihood
 from ._filter import Line as Line
 from ._filter import Message as Message
 from ._filter import Path as Path
 from ._filter import Windowed as Windowed
-from ._filter import count_of as count_of
 from ._filter import estimated as estimated
 from ._filter import filtered as filtered
-from ._filter import flowing as flowing
 from ._filter import free_wrench as free_wrench
 from ._filter import improbability as improbability
 from ._filter import innovations as innovations
@@ -46,7 +47,6 @@ from ._filter import nothing_known as nothing_known
 from ._filter import path_lines as path_lines
 from ._filter import promise as promise
 from ._filter import start_spread as start_spread
-from ._filter import unusual as unusual
 from ._filter import whitened as whitened
 from ._filter import with_current as with_current
 from ._filter import with_swell as with_swell

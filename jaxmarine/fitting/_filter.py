@@ -1,16 +1,7 @@
 """The likelihood of windows beside a disturbance that is part of the model: a Kalman filter along their path.
 
-Wind, waves and water push a craft, and what pushes it now still pushes it a second later. On each free axis
-a Gauss-Markov wrench acts:
-
-    d' = -d / time + w,    standard deviation `size`
-
-and, where a swell is asked for, one that also turns with a frequency: the first component of a pair
-
-    p' = -p / time + [[0, -frequency], [frequency, 0]] p + w,    standard deviation `size` of each.
-
-And where a current is asked for, the water's velocity to the north and to the east: two numbers like the
-first. What a current does to a craft turns with its heading and grows with its speed, as no wrench does.
+Wind, waves and water push a craft, and what pushes it now still pushes it a second later: a disturbance with
+a memory (`_disturbance.py`) acts on it.
 
 A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
 state and this disturbance as its own. What it does to the residuals it does to their derivatives too, so that
@@ -38,6 +29,7 @@ from scipy import optimize
 from .._compiled import compiled
 from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
+from ._disturbance import SWELL_MEMORY, USUAL_MEMORY, Disturbance, Logarithms, flowing
 from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
@@ -63,98 +55,6 @@ TOGETHER = 80
 # Windows that are held as linear systems at once at most: one with 150 columns takes 110 kB, and 250 kB more
 # while it is filtered.
 HELD = 640
-
-
-class Usual(NamedTuple):
-    """What is usual of a number: its median, and the standard deviation of its logarithm.
-
-    Weak: a log that tells more has its own way within a few standard deviations.
-    """
-
-    median: float
-    spread: float
-
-    def unusual(self, value: Array) -> Array:
-        """Minus twice the logarithm of the density of the number's logarithm, but for a constant."""
-        return (jnp.log(value / self.median) / self.spread) ** 2
-
-
-# Of wind, waves and water: sizes [full thrust] and memories [s]; of a swell how long it stays in step with
-# itself [s], and the frequency [rad/s] of one with a period of 5 s.
-USUAL_SIZE, USUAL_MEMORY = Usual(0.02, 3.0), Usual(4.0, 1.0)
-SWELL_MEMORY, SWELL_FREQUENCY = Usual(10.0, 1.0), Usual(2 * np.pi / 5, 0.7)
-# Of a current that wanders: size [m/s], and memory [s].
-USUAL_FLOW, FLOW_MEMORY = Usual(0.06, 1.0), Usual(40.0, 1.0)
-
-
-class Disturbance(eqx.Module):
-    """A Gauss-Markov wrench on the hull, a swell, and a current.
-
-    - `size`: standard deviation [N, N m, m/s]; `time`: in which it forgets all but 1/e [s]; `frequency`
-      [rad/s], 0 of what does not swing. First of the wrench on each axis, then of the swell, if there is one,
-      last of the current, if there is one, alike to the north and to the east.
-    - `gap`: from the end of the last hold of the window before to the first sample of each window [s], many
-      memories where a log begins; `joined`: whether a window goes on in the state of the one before.
-    - `axes`: those on which it acts; `flows`: whether there is a current.
-    """
-
-    size: Float[Array, " parts"]
-    time: Float[Array, " parts"]
-    frequency: Float[Array, " parts"]
-    gap: Float[Array, " windows"]
-    joined: Bool[Array, " windows"]
-    axes: tuple[int, ...] = eqx.field(static=True)
-    flows: bool = eqx.field(static=True, default=False)
-
-    @property
-    def swells(self) -> bool:
-        return len(self.size) - self.flows > len(self.axes)
-
-    @property
-    def kind(self) -> tuple[bool, bool]:
-        """Whether there is a swell, and a current."""
-        return self.swells, self.flows
-
-    @property
-    def states(self) -> int:
-        return len(self.axes) * (3 if self.swells else 1) + FLOW * self.flows
-
-    @property
-    def output(self) -> Float[Array, "pushes states"]:
-        """From its states to the wrench on its axes, and to the water's velocity."""
-        own = jnp.eye(len(self.axes))
-        if self.swells:
-            own = jnp.concatenate([own, jnp.kron(own, jnp.array([[1.0, 0.0]]))], axis=1)
-        flow = jnp.eye(FLOW) if self.flows else jnp.zeros((FLOW, 0))
-        return jax.scipy.linalg.block_diag(own, flow)
-
-    def _of_states(self, of_parts: Float[Array, " parts"]) -> Float[Array, " states"]:
-        count = len(self.axes)
-        return jnp.concatenate([of_parts[:count], jnp.repeat(of_parts[count:], 2)])
-
-    @property
-    def level(self) -> Float[Array, " states"]:
-        """Standard deviation of its states, after many memories."""
-        return self._of_states(self.size)
-
-    def after(self, dt: Float[Array, ""], states: Float[Array, "states columns"]):
-        """What is left of its states [states, columns] after some time [s]."""
-        left = jnp.exp(-dt / self._of_states(self.time))[:, None] * states
-        if not self.swells:
-            return left
-        count = len(self.axes)
-        angle = (self.frequency[count : 2 * count] * dt)[:, None]
-        here, there = left[count : 3 * count : 2], left[count + 1 : 3 * count : 2]
-        turned = (
-            jnp.cos(angle) * here - jnp.sin(angle) * there,
-            jnp.sin(angle) * here + jnp.cos(angle) * there,
-        )
-        pairs = jnp.stack(turned, axis=1).reshape(2 * count, -1)
-        return jnp.concatenate([left[:count], pairs, left[3 * count :]])
-
-    def new(self, dt: Float[Array, ""]) -> Float[Array, " states"]:
-        """Variance of what is new in its states after some time [s]."""
-        return self.level**2 * -jnp.expm1(-2 * dt / self._of_states(self.time))
 
 
 class Path(eqx.Module):
@@ -289,10 +189,14 @@ def _through(
 
         # One sensor after another, whose noises are independent: no factorisation for a few numbers.
         (mean, covariance, log_det), white = jax.lax.scan(sensor, carry, (h, residual))
+        by, over = f[:, 13:], force.over(dt)
+        f = jnp.concatenate([f[:, :13], by @ over.mean], axis=1)
         mean = jnp.concatenate([f @ mean, force.after(dt, mean[13:])])
         half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
         covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
-        covariance = covariance.at[13:, 13:].add(jnp.diag(force.new(dt)))
+        both = over.covariance @ by.T
+        new = [[by @ over.variance @ by.T, both.T], [both, jnp.diag(force.new(dt))]]
+        covariance = covariance + jnp.block(new)
         return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
 
     return jax.lax.scan(step, begin, (line.f @ by_states, line.h @ by_states, residual, line.dt))
@@ -650,68 +554,6 @@ def whitened(
     return _whitened(path_lines(problem, affine, force, path), force, _spread(problem))
 
 
-@dataclasses.dataclass(frozen=True)
-class Logarithms:
-    """Sizes, memories and frequency of a disturbance as free numbers without units.
-
-    In order: how much is new per root of a second on each axis [full thrust], which logs tell best, and its
-    memory [s]; then of a swell its size on each axis [full thrust], and for all axes its memory [s] and its
-    frequency [rad/s]; last of a current its size [m/s] and its memory [s].
-    """
-
-    axes: int
-
-    def of(self, force: Disturbance, unit: np.ndarray) -> Float[np.ndarray, " logarithms"]:
-        n, size = self.axes, np.asarray(force.size / self._units(force, unit))
-        time, frequency = np.asarray(force.time), np.asarray(force.frequency)
-        swell = [size[n : 2 * n], time[n : n + 1], frequency[n : n + 1]] if force.swells else []
-        flow = [size[-1:], time[-1:]] if force.flows else []
-        return np.log(np.concatenate([size[:n] / np.sqrt(time[:n]), time[:n], *swell, *flow]))
-
-    def set(self, force: Disturbance, unit: Array, values: Float[Array, " logarithms"]) -> Disturbance:
-        n, values = self.axes, jnp.exp(values)
-        size, time, frequency = values[:n] * jnp.sqrt(values[n : 2 * n]), values[n : 2 * n], jnp.zeros(n)
-        if force.swells:
-            size = jnp.concatenate([size, values[2 * n : 3 * n]])
-            time = jnp.concatenate([time, jnp.full(n, values[3 * n])])
-            frequency = jnp.concatenate([frequency, jnp.full(n, values[3 * n + 1])])
-        if force.flows:
-            size, time = jnp.append(size, values[-2]), jnp.append(time, values[-1])
-            frequency = jnp.append(frequency, 0.0)
-        size = size * self._units(force, unit)
-        return dataclasses.replace(force, size=size, time=time, frequency=frequency)
-
-    def _units(self, force: Disturbance, unit: Array | np.ndarray) -> Array:
-        """Of each part's size: the full thrust of its axis, of a current 1 m/s."""
-        wrenches = jnp.tile(jnp.asarray(unit), 2 if force.swells else 1)
-        return jnp.append(wrenches, 1.0) if force.flows else wrenches
-
-    def unusual(self, force: Disturbance, unit: Array) -> Float[Array, ""]:
-        """Minus twice the logarithm of the prior's density."""
-        n, size = self.axes, force.size / self._units(force, unit)
-        wrenches = size[:-1] if force.flows else size
-        out = USUAL_SIZE.unusual(wrenches).sum() + USUAL_MEMORY.unusual(force.time[:n]).sum()
-        if force.swells:
-            out += SWELL_MEMORY.unusual(force.time[n]) + SWELL_FREQUENCY.unusual(force.frequency[n])
-        if force.flows:
-            out += USUAL_FLOW.unusual(size[-1]) + FLOW_MEMORY.unusual(force.time[-1])
-        return out
-
-
-def count_of(force: Disturbance) -> int:
-    """How many `Logarithms` a disturbance has."""
-    meaning = Logarithms(len(force.axes))
-    return len(meaning.of(force, np.ones(meaning.axes)))
-
-
-def unusual(force: Disturbance, unit: Float[np.ndarray, " axes"]) -> float:
-    """Minus twice the logarithm of the prior's density of a disturbance, but for a constant; 0 at its most.
-
-    - `unit`: as of `estimated`.
-    """
-    return float(Logarithms(len(force.axes)).unusual(force, jnp.asarray(unit)))
-
-
 def _minus_twice(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
     """-2 log p(samples, sizes, memories) but for a constant."""
     meaning = Logarithms(len(force.axes))
@@ -834,17 +676,6 @@ def with_current(
     # A current may be all that disturbs, or come beside what does.
     others = [flowing(one, size) for one in (small, force) for size in CURRENTS]
     return _likeliest(spread, every, others, unit, worth)
-
-
-def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:
-    """The disturbance with a current of some size [m/s] and of a usual memory beside it."""
-    return dataclasses.replace(
-        force,
-        size=jnp.append(force.size, size),
-        time=jnp.append(force.time, FLOW_MEMORY.median),
-        frequency=jnp.append(force.frequency, 0.0),
-        flows=True,
-    )
 
 
 def _likeliest(

@@ -157,9 +157,10 @@ def _craft(pool: Pool) -> dict[str, Any]:
 
 
 def _unit(pool: Pool, name: str) -> str:
-    if name in pool.vehicle.thruster_names:
-        return "N"
-    return "rev/s" if any(o.key == "propeller" and name in o.names for o in pool.vehicle.actuators) else "rad"
+    """Of what it gives: a thruster a force, others what they are told."""
+    craft = pool.vehicle
+    units = dict(zip(craft.command_names, craft.command_units, strict=True))
+    return "N" if name in craft.thruster_names else units[name]
 
 
 def _most(pool: Pool, name: str, usual: dict[str, float]) -> float:
