@@ -127,8 +127,9 @@ def training_of(log, loss, small):
     freed, scales = set_free(start, free, **options, without=layers.places)
     z_units, noise = units(freed, scales), start.stated_noise
     nothing = np.zeros(len(z_units.precision))
-    raw, none, own = np.asarray(freed.start), np.zeros(0), np.ones(len(noise))
-    near = Estimate(nothing, raw, none, none, none, 0.0, 0.0, 0, True, "", own, own)
+    raw, own, z = np.asarray(freed.start), np.ones(len(noise)), len(nothing)
+    none = [np.zeros(shape) for shape in ((0, z), (0, z, z), (z, z))]
+    near = Estimate(nothing, raw, *none, 0.0, 0.0, 0, True, "", own, own)
     if loss == "one_step":
         training = by_samples(layers, freed, z_units, [log], noise, near)
     else:
