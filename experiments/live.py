@@ -11,7 +11,7 @@ Logs of the independent plant (`experiments/blind`) at 10 Hz, half of them by st
 - *Delay*: a thruster that grows weak under way, from hardly to badly.
 - *False alarms*: nothing hidden, in calm water, gusts, slow forces and a current that wanders.
 - *Hours*: nothing hidden, in these and in waves, an hour each, most of them at 1 Hz, watched at three
-  settings of `--false-alarms`.
+  settings of `--false-alarms`. The craft is commanded as often as its log has a row.
 - *Pace*: logs of six axes at 50 Hz, drawn by the package itself, with the whole catalogue: nothing hidden,
   and a thruster that grows weak. Seconds of the processor per second of the log, once programs are compiled;
   what first compiles while the thruster is named counts.

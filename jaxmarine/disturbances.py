@@ -36,7 +36,9 @@ class RandomWrench:
     ) -> Float[np.ndarray, "times 6"]:
         """One course of it over the times of a log [s], as `simulate` takes it for `push`.
 
-        Exact between samples, however far apart they are. The first value is a draw too: it has been blowing.
+        Exact at the samples, however far apart they are. The first value is a draw too: it has been blowing.
+        `simulate` holds each until the next: where samples are farther apart than a small part of a memory or
+        of a period, that pushes more than the disturbance would, of which means over a hold are smaller.
         """
         decay = 1.0 / np.where(self.size > 0, self.memory, 1.0).astype(complex)
         size = np.asarray(self.size, float)

@@ -252,6 +252,21 @@ def test_nothing_pushes_a_locked_axis():
 # --- cases ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("steering", ["rich", "pilot"])
+def test_commands_of_a_case_are_held_and_its_answer_says_so(tmp_path, steering):
+    short: dict[str, Any] = {"duration_train": 20.0, "duration_test": 10.0, "excitation": steering}
+    told = cases.make_case(tmp_path / "slow", BOAT, [], 1, held=10, **short)
+    quick = cases.make_case(tmp_path / "quick", BOAT, [], 1, **short)
+    assert told["options"]["held"] == 10 and "held" not in quick["options"]
+    slow, other = (
+        np.loadtxt(tmp_path / one / "train.csv", delimiter=",", skiprows=1) for one in ("slow", "quick")
+    )
+    commands = slow[:, -len(CRAFT[BOAT].names) :]
+    assert np.array_equal(commands, np.repeat(commands[::10], 10, axis=0))
+    assert (np.ptp(commands, axis=0) > 0.1).all()
+    assert not np.array_equal(other[:, -1], np.repeat(other[::10, -1], 10))
+
+
 def test_the_same_seed_gives_the_same_files(tmp_path):
     options: dict[str, Any] = {"duration_train": 20.0, "duration_test": 10.0, "excitation": "station"}
     gain = Effect("thruster_gain", "star", {"factor": 0.5})

@@ -170,7 +170,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("share", "off"), [(0.01, 1e-12), (0.3, 1e-12), (1.0, 1e-12), (4.0, 1e-9), (12.0, 1e-3)]
+    ("share", "off"), [(1e-6, 1e-12), (0.01, 1e-12), (0.3, 1e-12), (1.0, 1e-12), (4.0, 1e-9), (12.0, 1e-3)]
 )
 def test_a_disturbance_over_a_hold_is_its_integral(share, off):
     """Means and what is new in them, for holds from a hundredth of its memories to many of them."""
@@ -195,7 +195,7 @@ def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
     _, force = windows_of([False], [1e6])
     over = dataclasses.replace(force, time=jnp.full(AXES, 1e12)).over(jnp.asarray(0.1))
     np.testing.assert_allclose(over.mean, np.eye(AXES), atol=1e-12)
-    assert 0.0 <= np.abs(over.variance).max() < 1e-12
+    assert np.abs(over.variance).max() < 1e-12
 
 
 @pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, True)])

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -94,7 +95,7 @@ def test_a_log_at_rest_leaves_the_file_and_the_spread_it_came_with():
 @pytest.mark.slow
 def test_what_the_model_lacks_does_not_outweigh_the_prior():
     """A hull's lift that the file lacks, sensors without noise, none stated: chi-squares of millions."""
-    lift = dataclasses.replace(HullLift.neutral(boat()), Y_uv=60.0, N_uv=40.0)
+    lift = dataclasses.replace(HullLift.neutral(boat()), Y_uv=jnp.asarray(60.0), N_uv=jnp.asarray(40.0))
     exact = dict.fromkeys(SENSORS, 1e-6)
     log = record(boat().place(Placed(lift, None)), steps(), noise=exact)
     found = fit(unstated(boat()), log, everything, entries="diagonal", prior=0.3)

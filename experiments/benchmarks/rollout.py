@@ -7,6 +7,7 @@ The ROV Tethra under an operator's wrenches, held over steps of 0.1 s. The refer
 differ from it by that method's error. Writes results.json and results.md.
 """
 
+import functools
 from pathlib import Path
 from typing import Annotated
 
@@ -67,8 +68,8 @@ def row_of(state: State):
 
 
 def input_of(plant: Plant, tau) -> Input:
-    nothing = jnp.zeros((*plant.drive.max_thrust.shape, *tau.shape[1:]))
-    return Input(nothing, nothing, tau, jnp.zeros(tau.shape[1:]))
+    nothing = jnp.zeros(plant.drive.max_thrust.shape)
+    return Input(nothing, nothing, tau, jnp.zeros(()))
 
 
 def held(plant: Plant, start, wrenches):
@@ -84,12 +85,16 @@ def held(plant: Plant, start, wrenches):
 def held_many(plant: Plant, starts, wrenches):
     """The package's step for many vehicles: starts [13, vehicles], wrenches [steps, 6, vehicles]."""
     dt = jnp.full(starts.shape[1:], DT)
+    # Records are of one vehicle when they are made; here each array has the vehicles behind.
+    inputs_of, states_of = (
+        jax.vmap(one, in_axes=-1, out_axes=-1) for one in (functools.partial(input_of, plant), state_of)
+    )
 
     def step(states, tau):
-        after = hold_many(plant, states, input_of(plant, tau), dt)
+        after = hold_many(plant, states, inputs_of(tau), dt)
         return after, row_of(after)
 
-    return jax.lax.scan(step, state_of(starts), wrenches)[1]
+    return jax.lax.scan(step, states_of(starts), wrenches)[1]
 
 
 def by_hand(plant: Plant, start, wrenches):

@@ -327,6 +327,8 @@ def make_case(
         answer["options"]["weather"] = asdict(weather)
     if kind == "waves" and not hidden:
         answer["also"] = ["waves"]
+    if held > 1:
+        answer["options"]["held"] = held
     if misfit:
         raw = perturbed(raw, SPREAD, rng)
         answer["options"]["misfit"] = True

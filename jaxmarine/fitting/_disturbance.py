@@ -11,7 +11,9 @@ A current is the water's velocity to the north and to the east: two numbers like
 does to a craft turns with its heading and grows with its speed, as no wrench does.
 
 Between two samples a craft is moved by what pushed on the average, which at the first of them is known in
-part only: of a disturbance that forgets within a sample's time hardly anything is (`Disturbance.over`).
+part only: of a disturbance that forgets within a sample's time hardly anything is (`Disturbance.over`). The
+mean is all that is told of a hold: that an early push moves a craft farther than a late one is left out. It
+shows where positions are known better than to a tenth of what a push moves a craft in a sample's time.
 
 Source: after Van Loan (1978) on what is new in a process and in its integral over a step.
 """
@@ -50,8 +52,8 @@ SWELL_MEMORY, SWELL_FREQUENCY = Usual(10.0, 1.0), Usual(2 * np.pi / 5, 0.7)
 USUAL_FLOW, FLOW_MEMORY = Usual(0.06, 1.0), Usual(40.0, 1.0)
 
 
-# Places in [-1, 1] and their weights, for integrals over a hold (Gauss, Legendre): exact to rounding where a
-# disturbance remembers as long as a hold, and to a thousandth of its variance where a tenth of that.
+# Places in [-1, 1] and their weights, for integrals over a hold (Gauss, Legendre): exact to a thousandth of a
+# disturbance's variance where it remembers a thirtieth of a hold and turns less than two turns in one.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -125,7 +127,7 @@ class Disturbance(eqx.Module):
         return self.level**2 * -jnp.expm1(-2 * dt / self._of_states(self.time))
 
     def over(self, dt: Float[Array, ""]) -> "Hold":
-        """What its states are on the average over a hold of some length [s].
+        """What its states are on the average over a hold of some length [s], which is not nothing.
 
         A pair is one complex number here, which goes on as exp(-rate t). What is new in it some time before
         the hold's end adds to the end as exp(-rate t), and to the mean as that does on the average.
