@@ -86,9 +86,8 @@ def held_many(plant: Plant, starts, wrenches):
     """The package's step for many vehicles: starts [13, vehicles], wrenches [steps, 6, vehicles]."""
     dt = jnp.full(starts.shape[1:], DT)
     # Records are of one vehicle when they are made; here each array has the vehicles behind.
-    inputs_of, states_of = (
-        jax.vmap(one, in_axes=-1, out_axes=-1) for one in (functools.partial(input_of, plant), state_of)
-    )
+    behind = functools.partial(jax.vmap, in_axes=-1, out_axes=-1)
+    inputs_of, states_of = behind(functools.partial(input_of, plant)), behind(state_of)
 
     def step(states, tau):
         after = hold_many(plant, states, inputs_of(tau), dt)
