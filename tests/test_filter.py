@@ -11,20 +11,28 @@ from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
-from jaxmarine.diagnosis import _amid
+from jaxmarine.diagnosis import _amid, _search
 from jaxmarine.diagnosis._amid import amid_more
-from jaxmarine.diagnosis._explanation import Member, Model
+from jaxmarine.diagnosis._explanation import Beside, Member, Model
 from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
-from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent
-from jaxmarine.fitting import _filter, flowing, with_current
-from jaxmarine.fitting._disturbance import FLOW, USUAL_FLOW, Disturbance, Logarithms
+from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves
+from jaxmarine.fitting import _filter, flowing, with_current, with_swell
+from jaxmarine.fitting._disturbance import (
+    FLOW,
+    USUAL_FLOW,
+    Disturbance,
+    Logarithms,
+    count_of,
+    unlearned,
+)
 from jaxmarine.fitting._filter import Line, Windowed
 from jaxmarine.logs import Log
 from jaxmarine.physics import LATE, late
 from jaxmarine.simulation import initial_state, simulate
+from jaxmarine.vehicle import Placed, Vehicle
 from tests.boats import NOISE, boat, steps
 
 STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
@@ -239,14 +247,35 @@ def test_sizes_and_memories_come_back_from_their_logarithms(swells, flows):
         np.testing.assert_allclose(getattr(again, name), getattr(force, name), rtol=1e-12)
 
 
+@pytest.mark.parametrize("flows", [False, True])
+def test_without_its_swell_a_disturbance_is_one_whose_swell_has_no_size(flows):
+    """By the likelihood; and what is known of the other logarithms stays with them."""
+    every, force = windows_of([False, True, False], [1e6, 0.0, 0.4], True, flows)
+    still = dataclasses.replace(force, size=force.size.at[AXES : 2 * AXES].set(0.0))
+    known = np.random.default_rng(0).normal(size=(count_of(force),) * 2)
+    path = _filter.Path.measured(3, force.axes)
+    model = Model((), np.zeros(0), jnp.zeros((3, 12)), 0.0, beside=Beside(force, path, known))
+    calm = _amid.calmed(model).beside
+    assert not calm.force.swells and calm.force.flows == flows
+    for mine, its in zip(joined_up(every, calm.force), joined_up(every, still), strict=True):
+        np.testing.assert_allclose(mine, its, rtol=1e-9, atol=1e-9)
+    unit, meaning = np.ones(AXES), Logarithms(AXES)
+    kept = [list(meaning.of(force, unit)).index(one) for one in meaning.of(calm.force, unit)]
+    np.testing.assert_array_equal(calm.covariance, known[np.ix_(kept, kept)])
+
+
 # --- along the path of a craft ---------------------------------------------------------------------
 
 KNOWN = np.array([2.0, 1.5, 0.6])  # N, N, N m
 MEMORY, LENGTH = 5.0, 240.0  # s
 
 
-def pushed_boat(size: np.ndarray) -> Log:
-    """A log of the boat by random wrenches, with a Gauss-Markov one on top that it does not hold."""
+def pushed_boat(size: np.ndarray, craft: Vehicle | None = None) -> Log:
+    """A log of the boat by random wrenches, with a Gauss-Markov one on top that it does not hold.
+
+    - `craft`: the boat with what else acts on it.
+    """
+    craft = boat() if craft is None else craft
     rng, dt, free = np.random.default_rng(5), 0.1, [0, 1, 5]
     samples = round(LENGTH / dt)
     keep, wrench = np.exp(-dt / MEMORY), np.zeros((samples, 6))
@@ -257,7 +286,7 @@ def pushed_boat(size: np.ndarray) -> Log:
     t, given = dt * np.arange(samples), np.zeros((samples, 6))
     given[:, free] = steps(samples, seed=2, hold=40) * [40.0, 20.0, 8.0]
     blank = Log(t, np.full((samples, 18), np.nan), None, given + wrench, (), "log.csv")
-    shown = np.asarray(simulate(boat(), blank, initial_state(boat())).channels)
+    shown = np.asarray(simulate(craft, blank, initial_state(craft)).channels)
     noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
     shown = shown + noise * np.random.default_rng(6).normal(size=shown.shape)
     return dataclasses.replace(blank, channels=shown, wrench=given)
@@ -303,6 +332,40 @@ def test_a_curvature_that_is_none_is_not_handed_on(disturbed, monkeypatch):
     assert np.linalg.eigvalsh(_filter.estimated(*given, covariance)[1])[0] > 0
 
 
+@pytest.mark.parametrize("factor", [0.02, 50.0])
+def test_sizes_that_are_far_off_are_found_soon(disturbed, monkeypatch, factor):
+    """Where they were found from near, in at most 4 looks for each number (by slopes alone in 7 to 10)."""
+    bench, model = disturbed
+    problem, every = bench.lines(model, model.beside)
+    spread, near = _filter.start_spread(problem.start_precision), model.beside.force
+    looks, sloped = [], _filter._sloped
+    monkeypatch.setattr(_filter, "_sloped", lambda *given: looks.append(1) or sloped(*given))
+    far = dataclasses.replace(near, size=factor * near.size)
+    found, _, worth = _filter.estimated(spread, every, far, bench.fine.unit, unlearned(far), far=True)
+    assert len(looks) <= 4 * count_of(near)
+    best = _filter.improbability(spread, every, [near], bench.fine.unit)[0]
+    assert worth < best + 2 * _filter.ENOUGH
+    np.testing.assert_allclose(np.asarray(found.size), np.asarray(near.size), rtol=0.05)
+
+
+def test_a_size_comes_near_by_what_is_expected_of_it():
+    """Of numbers that are seen as they are, one step leads to their root mean square, which is likeliest.
+
+    The maximum of a normal density in its standard deviation, in closed form.
+    """
+    seen, looks = np.random.default_rng(0).normal(scale=3.0, size=200), []
+
+    def sloped(log_size, memory):
+        looks.append(log_size)
+        share = seen**2 * np.exp(-2 * log_size)
+        return np.sum(share + 2 * log_size), np.array([2 * len(seen) - 2 * share.sum(), 0.0])
+
+    found = _filter._come_near(sloped, np.array([-4.0, 1.0]), np.array([len(seen), 0.0]))
+    assert np.exp(found[0]) == pytest.approx(np.sqrt(np.mean(seen**2)), rel=1e-12)
+    assert found[1] == 1.0
+    assert len(looks) == 2
+
+
 def test_a_first_state_is_taken_back_to_its_changes():
     """Far from the guess about all axes, where they are not orthogonal: against NumPy's pseudo-inverse."""
     guess, far = initial_state(boat()), 0.3 * jnp.array([1.0, -1.0, 1.0]) / np.sqrt(3)
@@ -315,6 +378,25 @@ def test_a_first_state_is_taken_back_to_its_changes():
     every, _ = windows_of([False], [1e6])
     line = dataclasses.replace(jax.tree.map(lambda a: a[0], every.line), begin=begin)
     np.testing.assert_allclose(np.asarray(line.back), np.linalg.pinv(begin), atol=1e-13)
+
+
+@pytest.mark.slow
+def test_a_wave_that_keeps_in_step_is_likelier_than_the_swell_that_hides_it():
+    """By the odds of a name, and its numbers are found; a swell forgets, and a regular wave does not."""
+    wave = Waves(north=jnp.array(4.0), east=jnp.array(-3.0), period=jnp.array(4.5), phase=jnp.array(0.8))
+    log = pushed_boat(0.2 * KNOWN, boat().place(Placed(wave, None)))
+    bench = workbench(boat(), (log,), (Waves,), None)
+    model = bench.likeliest(_amid.disturbed(bench, bench.frozen(bench.start())))
+    swell = _amid.widened(bench, model, with_swell)
+    assert swell.beside.force.swells and swell.cost < model.cost - 50
+    (begun,) = _search._in_step(bench, swell)
+    found = bench.likeliest(begun, 12, 1e-4, 1)
+    assert not found.beside.force.swells
+    assert swell.cost - found.cost > _search.prior_nats(bench, found.members[-1]) + np.log(150)
+    named = _search.trial_of(swell, found.members[-1], found).parameters(bench)
+    for name in ("north", "east", "period"):
+        assert abs(named[name]) == pytest.approx(abs(float(getattr(wave, name))), rel=0.05)
+    assert _search._in_step(bench, model) == []
 
 
 @pytest.mark.slow

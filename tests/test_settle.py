@@ -200,8 +200,13 @@ def test_the_best_that_is_sure_wins_a_round_and_not_what_a_few_windows_pull():
     assert _decided(bench, begun, trials[:1]) is None
 
 
-def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_the_file_and_the_usual_disturbance():
-    """Its prior has a standard deviation of a tenth, and odds of 150 to 1 are a bend by 3.17 of it."""
+@pytest.mark.parametrize(("worth", "afresh"), [(10.0, [2.0, 3.0]), (3.5, [])])
+def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_it_as_it_is(worth, afresh):
+    """Its prior has a standard deviation of a tenth, and odds of 150 to 1 are a bend by 3.17 of it.
+
+    First what disturbs is suited to a file that holds. One that has not bent saves all that a model is worth;
+    those that have, and save less than half of that, stay.
+    """
     bench, fine = Bench(off(s4=0.3)), usual()
     bench.fine = fine
     member = bench.fit(4)
@@ -217,12 +222,27 @@ def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_the_file_an
             (4.0, 4.0, 1.0),
         )
     ]
-    begun: list[Model] = []
-    bench.refine_each = lambda models, *how: begun.extend(models) or models
-    _search._afresh(bench, bent)
-    assert [one.z[BASE] for one in begun] == [2.0, 3.0] and all(not one.z[:BASE].any() for one in begun)
-    assert all(one.cost == np.inf for one in begun)
-    assert all(one.beside.force is fine.begin and one.beside.path is fine.path for one in begun)
+    begun: list[list[Model]] = []
+
+    def refined(models, *how):
+        begun.append(list(models))
+        return [dataclasses.replace(one, cost=1.0) for one in models]
+
+    bench.refine_each = refined
+    _search._afresh(bench, dataclasses.replace(bench.fit(), cost=worth), bent)
+    held, free = begun
+    assert all(one.frozen for one in held) and not any(one.frozen for one in free)
+    for some in begun:
+        assert [one.z[BASE] for one in some] == afresh and all(not one.z[:BASE].any() for one in some)
+        assert all(one.cost == np.inf for one in some)
+        assert all(one.beside.force is fine.begin and one.beside.path is fine.path for one in some)
+
+
+@pytest.mark.parametrize(("best", "hopeful"), [(1.0, [4]), (1e6, [])])
+def test_what_shows_beside_a_quick_disturbance_must_save_half_of_what_the_best_does(best, hopeful):
+    bench = Bench(off(s4=0.3))
+    found = _search._hidden(bench, bench.fit(), [Member(4), Member(5)], best)
+    assert [one.members[-1].suspect for one in found] == hopeful
 
 
 def test_of_two_members_that_say_the_same_one_stays():

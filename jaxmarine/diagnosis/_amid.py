@@ -1,7 +1,7 @@
 """What disturbance the model stands amid: wider by a swell or a current where the logs ask for one."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,31 +14,46 @@ from ..fitting import (
     count_of,
     improbability,
     start_spread,
+    unlearned,
     with_current,
     with_swell,
 )
 from ._explanation import Beside, Member, Model
-from ._workbench import Workbench
-
-# Variance of the logarithms of sizes and memories before anything is known of them: steps of a half.
-UNLEARNED = 0.25
+from ._workbench import FEW_STEPS, ROUGH, Workbench
 
 
 def disturbed(bench: Workbench, model: Model) -> Model:
     """The model beside a disturbance of the usual size, along the path as measured."""
     fine = bench.fine
-    learned = UNLEARNED * np.eye(count_of(fine.begin))
-    return dataclasses.replace(model, beside=Beside(fine.begin, fine.path, learned), cost=np.inf)
+    return dataclasses.replace(
+        model, beside=Beside(fine.begin, fine.path, unlearned(fine.begin)), cost=np.inf
+    )
 
 
 def refine_fully(bench: Workbench, model: Model) -> Model:
     """The model refined; raises `InputError` where the vehicle runs away along the logs."""
-    out = bench.likeliest(model)
+    (begun,) = suited(bench, [model])
+    out = bench.likeliest(begun)
     if model.beside is not None and np.isfinite(out.cost):
         out = amid_more(bench, out)
     if not np.isfinite(out.cost):
         raise runaway(bench.data.logs[0].name, bench.vehicle.name)
     return out
+
+
+def suited(bench: Workbench, models: Sequence[Model]) -> list[Model]:
+    """Models beside the disturbance that suits each while the file holds; as they are without a disturbance.
+
+    Beside one that is too small the file's coefficients would bend until they mean nothing, and a refinement
+    does not find back from there.
+    """
+    if any(model.beside is None for model in models):
+        return list(models)
+    held = bench.refine_each([bench.frozen(model) for model in models], FEW_STEPS, ROUGH, 1)
+    return [
+        dataclasses.replace(one, frozen=model.frozen, cost=np.inf) if np.isfinite(one.cost) else model
+        for one, model in zip(held, models, strict=True)
+    ]
 
 
 def amid_more(bench: Workbench, model: Model, steady: bool = True) -> Model:
@@ -89,8 +104,8 @@ def widened(bench: Workbench, model: Model, with_one: Callable[..., Disturbance 
     wider = with_one(spread, every, beside.force, unit, worth)
     if wider is None:
         return model
-    unlearned = UNLEARNED * np.eye(count_of(wider))
-    return bench.likeliest(dataclasses.replace(model, beside=Beside(wider, beside.path, unlearned)))
+    amid = Beside(wider, beside.path, unlearned(wider))
+    return bench.likeliest(dataclasses.replace(model, beside=amid))
 
 
 def _in_currents(bench: Workbench, model: Model) -> list[Model]:
@@ -108,3 +123,18 @@ def hurried(model: Model) -> Model:
     time = jnp.where(slow, USUAL_MEMORY.median, force.time)
     quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
     return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))
+
+
+def calmed(model: Model) -> Model:
+    """The model beside its disturbance without a swell."""
+    assert model.beside is not None
+    force, learned = model.beside.force, model.beside.covariance
+    if not force.swells:
+        return model
+    own = np.arange(len(force.axes))
+    parts = np.append(own, [len(force.size) - 1] if force.flows else []).astype(int)
+    some = {name: getattr(force, name)[parts] for name in ("size", "time", "frequency")}
+    calm = dataclasses.replace(force, **some)
+    kept = np.append(np.arange(2 * len(own)), np.arange(len(learned) - 2 * force.flows, len(learned)))
+    beside = dataclasses.replace(model.beside, force=calm, covariance=learned[np.ix_(kept, kept)])
+    return dataclasses.replace(model, beside=beside)

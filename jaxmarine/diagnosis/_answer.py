@@ -14,8 +14,8 @@ from ._filed import refiled
 from ._judge import Judged
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import lasting, root, solve
-from ._search import ROUGH, STEPS, Round, evidence, putting_back
-from ._workbench import Workbench
+from ._search import STEPS, Round, evidence, putting_back
+from ._workbench import ROUGH, Workbench
 
 # Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
 MOST_CLOSE, OTHERS = 2, 4

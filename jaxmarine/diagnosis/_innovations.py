@@ -83,7 +83,7 @@ def log_score(bench: Workbench, model: Model, weathers: int = WEATHERS) -> float
                 path_lines(problem, nothing, force, path),
                 start_spread(problem.start_precision),
             )
-            force, covariance, _ = estimated(spread, every, force, fine.unit, covariance)
+            force, covariance, _ = estimated(spread, every, force, fine.unit, covariance, far=True)
         found = innovations(problem, nothing, force, path, group, 1)
         for _ in range(PASSES - 1):
             found = innovations(problem, nothing, force, found.path, group, 1)

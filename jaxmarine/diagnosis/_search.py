@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
-from ._amid import amid_more, disturbed, hurried, price
+from ._amid import amid_more, calmed, disturbed, hurried, price, suited
 from ._explanation import Beginning, Member, Model
 from ._fine import STRAIGHT
 from ._knots import knots, wave_start
 from ._score import Reduced, savings, scatter, step_with
-from ._workbench import Workbench
+from ._workbench import FEW_STEPS, ROUGH, Workbench
 
 # Suspects refitted in a round, by what the linearisation says they would save: acting always, and from a
 # beginning on, of which there are so many to choose from that they would crowd the others out.
@@ -21,10 +21,9 @@ SHORTLIST, SHORTLIST_BEGUN = 8, 4
 # does not.
 WITH_BEGINNING = 3
 CHANCES = 3
-# Gauss-Newton steps of a suspect's refit beside a disturbance, and of one that is hopeful: that saves or
-# promises this share of what the best saves. They end where a step promises less than this share of the
-# chi-square.
-FEW_STEPS, STEPS, HOPEFUL, ROUGH = 3, 12, 0.5, 1e-4
+# Gauss-Newton steps of the refit of a suspect that is hopeful: that saves or promises this share of what the
+# best saves.
+STEPS, HOPEFUL = 12, 0.5
 # Linearisations that tell who is hopeful beside white noise: where it began, and where the first step led.
 TELLING = 2
 # Hopeful suspects that get more steps, and stuck ones that are begun afresh, of those refitted together.
@@ -178,9 +177,7 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
         neutral = bench.layout.neutral_of(i)
         names = list(suspect.slots)
         if suspect.effect.swings:
-            promised, start = wave_start(knots(bench, model))
-            if promised > WORTHWHILE * best:
-                out.append((Member(i), np.array([start[n] for n in names]) - neutral))
+            out += _swinging(bench, model, i, WORTHWHILE * best)
             continue
         values = [np.array([start[n] for n in names]) - neutral for start in suspect.starts]
         begun = [bench.with_member(sample.model, Member(i), value) for value in values]
@@ -188,6 +185,15 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
         if sample.saved(min(promised)) > WORTHWHILE * best:
             out.append((Member(i), values[int(np.argmin(promised))]))
     return out
+
+
+def _swinging(
+    bench: Workbench, model: Model, suspect: int, least: float = 0.0
+) -> list[tuple[Member, np.ndarray]]:
+    """A suspect that swings at the start from which it promises most, if that is more than so much."""
+    promised, start = wave_start(knots(bench, model))
+    value = np.array([start[name] for name in bench.layout.suspects[suspect].slots])
+    return [(Member(suspect), value - bench.layout.neutral_of(suspect))] if promised > least else []
 
 
 def trial_of(model: Model, member: Member, refitted: Model) -> Trial:
@@ -353,7 +359,8 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
 
     A disturbance as large as all that the model misses is what a suspect has to do better than, so that the
     linearisation says the least that it saves: where it does not pay for its parameters no refit is needed.
-    But one that is slow hides what acts for long: that shows beside one that is no slower than usual.
+    But one that is slow hides what acts for long: that shows beside one that is no slower than usual. And a
+    swell hides what swings and keeps in step.
     """
     ranked, _ = shortlist(bench, model, stats)
     paying = _paying(bench, ranked)
@@ -371,23 +378,48 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
-    begun = [t.model for t in hopeful] + [_joined(bench, quick, one, None) for one in hidden]
+    begun = [t.model for t in hopeful] + _hidden(bench, quick, hidden, best) + _in_step(bench, model)
     # What acts at once spoils more by beginning a second late than it saves.
     begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in begun]
     refitted = _refined_each(bench, begun, STEPS, 1)
-    refitted += _afresh(bench, refitted)
+    refitted += _afresh(bench, model, refitted)
     trials = rest + [trial_of(model, one.members[-1], one) for one in refitted]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
-def _afresh(bench: Workbench, refitted: Sequence[Model]) -> list[Model]:
-    """The likeliest of some models whose file has bent far, from the file as it is and the usual disturbance.
+def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: float) -> list[Model]:
+    """Models with each of some suspects beside a quick disturbance, of those that are hopeful there, too.
 
-    Both had bent to what the suspect explains, and stand in its way.
+    - `best`: what the best suspect saves beside the disturbance as it is.
     """
-    bent = sorted((one for one in refitted if _bent_far(bench, one)), key=lambda one: one.cost)
-    begun = [disturbed(bench, bench.as_filed(one)) for one in bent[:AFRESH]]
-    return bench.refine_each(begun, 2 * STEPS, ROUGH, 1)
+    joined = [_joined(bench, quick, one, None) for one in hidden]
+    without, *refitted = _refined_each(bench, [quick, *joined], FEW_STEPS)
+    return [one for one in refitted if trial_of(without, one.members[-1], one).saved > HOPEFUL * best]
+
+
+def _in_step(bench: Workbench, model: Model) -> list[Model]:
+    """Models with each suspect that swings in the place of the disturbance's swell, which hides it."""
+    assert model.beside is not None
+    if not model.beside.force.swells:
+        return []
+    calm = calmed(model)
+    swing = [i for i in bench.open(model) if bench.layout.suspects[i].effect.swings]
+    starts = [start for i in swing for start in _swinging(bench, calm, i)]
+    return [_joined(bench, calm, member, value) for member, value in starts]
+
+
+def _afresh(bench: Workbench, model: Model, refitted: Sequence[Model]) -> list[Model]:
+    """The likeliest of some models whose file has bent far, from the file as it is and what disturbs that.
+
+    Both had bent to what the suspect explains, and stand in its way: if nothing explains most of it beside a
+    file that holds.
+    """
+    far = [_bent_far(bench, one) for one in refitted]
+    straight = [model.cost - one.cost for one, bent in zip(refitted, far, strict=True) if not bent]
+    least = HOPEFUL * max(straight, default=0.0)
+    bent = [one for one, bent in zip(refitted, far, strict=True) if bent and model.cost - one.cost > least]
+    begun = [disturbed(bench, bench.as_filed(one)) for one in sorted(bent, key=lambda m: m.cost)[:AFRESH]]
+    return bench.refine_each(suited(bench, begun), 2 * STEPS, ROUGH, 1)
 
 
 def _bent_far(bench: Workbench, model: Model) -> bool:

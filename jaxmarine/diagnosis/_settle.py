@@ -9,8 +9,6 @@ from ._dropped import HARMFUL, REPLACED, gone, needless
 from ._explanation import Model
 from ._result import Dropped
 from ._search import (
-    FEW_STEPS,
-    ROUGH,
     STEPS,
     Found,
     Round,
@@ -21,7 +19,7 @@ from ._search import (
     own_dispersion,
     replaces,
 )
-from ._workbench import Workbench
+from ._workbench import FEW_STEPS, ROUGH, Workbench
 from ._worth import gain_at_home
 
 # A member is kept without more than a few steps of a refit where those promise that its removal costs this
@@ -41,7 +39,7 @@ def pruned(bench: Workbench, model: Model) -> Model:
     phi, sound = dispersion(bench, model, stats), bench.sound(model)
     for i, where in enumerate(bench.slices(model.members)):
         least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
-        less = bench.likeliest(bench.without_member(model, i), FEW_STEPS, ROUGH)
+        less = bench.likeliest(bench.without_member(model, i), FEW_STEPS, ROUGH, 1)
         climbed = bench.climbed(less)
         if climbed is less and sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
             continue

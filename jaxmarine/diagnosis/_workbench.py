@@ -79,6 +79,8 @@ MOST_DAMPING = 0.1
 # A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
 # some ten thousand samples has left, so that no parameter is a quarter of its standard error away.
 EXACT = 1e-6
+# Steps of a refit that tells roughly what a model is worth beside a disturbance, and that share of it.
+FEW_STEPS, ROUGH = 3, 1e-4
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
@@ -436,7 +438,7 @@ class Workbench:
         if model.beside is not None:
             likely = self._likelihood(model, model.beside.force)
             path = model.beside.path
-            out = maximise(likely, jnp.asarray(z), path, max_steps, rtol * self.samples, damping)
+            out = maximise(likely, jnp.asarray(z), path, max_steps, rtol, self.samples, damping)
             moved = dict[str, Any](beside=dataclasses.replace(model.beside, path=out.path))
             own = 0.5 * unusual(model.beside.force, self.fine.unit)
         else:
@@ -491,12 +493,17 @@ class Workbench:
             if model.beside is None or not np.isfinite(model.cost):
                 break
             beside = model.beside
+            # Minus twice the logarithm of the likelihood over that of a model that leaves but noise: what it
+            # misses makes it curve as much more as it will not once that has a name.
+            missed = max(1.0, 2 * model.cost / self.samples)
+            step = rtol * missed * self.samples
             problem, every = self.lines(model, beside)
             spread = start_spread(problem.start_precision)
-            force, learned, _ = estimated(spread, every, beside.force, self.fine.unit, beside.covariance)
-            now = Beside(force, beside.path, learned)
+            known = beside.force, self.fine.unit, beside.covariance / missed
+            force, learned, _ = estimated(spread, every, *known, enough=step, far=True)
+            now = Beside(force, beside.path, missed * learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
-            if not before.cost - model.cost > LIKELIER:
+            if not before.cost - model.cost > max(LIKELIER, 0.5 * step):
                 return model if model.cost < before.cost else before
         return model
 

@@ -29,6 +29,7 @@ from ._disturbance import USUAL_SIZE as USUAL_SIZE
 from ._disturbance import Disturbance as Disturbance
 from ._disturbance import count_of as count_of
 from ._disturbance import flowing as flowing
+from ._disturbance import unlearned as unlearned
 from ._disturbance import unusual as unusual
 from ._feedback import answers as answers
 from ._filter import Likelihood as Likelihood

@@ -16,7 +16,8 @@ Source: after Ljung, System Identification, on prediction errors, and Anderson a
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -46,6 +47,8 @@ CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
+# Steps with which sizes come near at most, and by how much of itself a size is near.
+COMING, NEAR = 6, 0.1
 # Stands for the improbability of samples along a path that has run away.
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
@@ -603,6 +606,8 @@ def estimated(
     force: Disturbance,
     unit: Float[np.ndarray, " axes"],
     covariance: Float[np.ndarray, "logarithms logarithms"],
+    enough: float = 0.0,
+    far: bool = False,
 ) -> tuple[Disturbance, Float[np.ndarray, "logarithms logarithms"], float]:
     """The disturbance that makes the samples most likely, with a weak prior on its numbers.
 
@@ -612,22 +617,40 @@ def estimated(
       axis, or what stands for it.
     - `covariance`: of the `Logarithms` by the curvature, as far as it is known, and returned as the search
       has learned it. One that begins with that of a similar model takes few steps.
+    - `enough`: the decrease of minus twice the logarithm that is not worth a step; `ENOUGH` at least.
+    - `far`: whether sizes may be many times too large or too small to begin with.
     """
-    meaning = Logarithms(len(force.axes))
+    meaning, enough = Logarithms(len(force.axes)), max(ENOUGH, enough)
+
+    @functools.cache
+    def sloped(*logarithms: float) -> tuple[float, Float[np.ndarray, " logarithms"]]:
+        value, slope = _sloped(jnp.asarray(logarithms), jnp.asarray(unit), every, spread, force)
+        value, slope = float(value), np.asarray(slope)
+        # Where the path has run away there is nothing to be found.
+        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (RUN_AWAY, 0 * slope)
+
     begin = meaning.of(force, unit)
+    if far:
+        holds = float((np.asarray(every.line.dt) > 0).sum())
+        begin = _come_near(sloped, begin, holds * meaning.new(force))
     # In these coordinates the likelihood curves alike in all directions.
     root = np.linalg.cholesky(covariance)
 
     def of(whitened):
-        logarithms = jnp.asarray(begin + root @ whitened)
-        value, slope = _sloped(logarithms, jnp.asarray(unit), every, spread, force)
-        value, slope = float(value), root.T @ np.asarray(slope)
-        # Where the path has run away there is nothing to be found.
-        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (RUN_AWAY, 0 * slope)
+        value, slope = sloped(*(begin + root @ whitened))
+        return value, root.T @ slope
 
-    # Half the slope's square is what a step is worth.
-    how = {"maxiter": STEPS, "gtol": np.sqrt(2 * ENOUGH), "norm": 2}
-    best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", options=how)
+    last = np.inf
+
+    def ended(intermediate_result: optimize.OptimizeResult) -> None:
+        nonlocal last
+        before, last = last, intermediate_result.fun
+        if before - last < enough:
+            raise StopIteration
+
+    # Half the slope's square is what a step is worth where the curvature is as it was said to be.
+    how = {"maxiter": STEPS, "gtol": np.sqrt(2 * enough), "norm": 2}
+    best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", callback=ended, options=how)
     found = meaning.set(force, jnp.asarray(unit), jnp.asarray(begin + root @ best.x))
     learned = root @ best.hess_inv @ root.T
     # A line search that fails, as over a likelihood that rounding makes rough, can leave a curvature that is
@@ -635,6 +658,34 @@ def estimated(
     usable = np.isfinite(learned).all() and np.linalg.eigvalsh(best.hess_inv)[0] > CURVED
     worth = float(best.fun) if best.fun < RUN_AWAY else np.inf
     return found, learned if usable else covariance, worth
+
+
+def _come_near(
+    sloped: Callable[..., tuple[float, Float[np.ndarray, " logarithms"]]],
+    begin: Float[np.ndarray, " logarithms"],
+    new: Float[np.ndarray, " logarithms"],
+) -> Float[np.ndarray, " logarithms"]:
+    """Logarithms whose sizes are about what the samples let one expect, from far away.
+
+    Given the samples and sizes that are said, what is new in the disturbance is as large as these say and the
+    slopes add. That alone comes near slowly, so that each step goes twice as far beyond it as the one before.
+    Source: after Dempster, Laird and Rubin on expectation and maximisation, by Fisher's identity.
+
+    - `sloped`: minus twice the logarithm of the likelihood by the logarithms, and its slope.
+    - `new`: of each size, how many numbers are new that are as large as it; 0 of all others.
+    """
+    best, least = begin, np.inf
+    for faster in 2.0 ** np.arange(COMING):
+        value, slope = sloped(*begin)
+        if not value < least:
+            break
+        best, least = begin, value
+        larger = np.divide(-0.5 * slope, new, out=np.zeros_like(new), where=new > 0)
+        step = 0.5 * np.log(np.maximum(1 + larger, NEAR**2))
+        if np.abs(step).max() < NEAR:
+            break
+        begin = begin + faster * step
+    return best
 
 
 def with_swell(
@@ -711,8 +762,8 @@ def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Array, Innovat
 class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
     """Damped Gauss-Newton on the innovations; each step goes on from the path that the last one predicts.
 
-    Its arguments are the precision of the prior. A step is worth the decrease of -2 log p that the option
-    `least` says, and `ATOL` at least.
+    Its arguments are the precision of the prior. A step is worth the share of -2 log p that the option
+    `share` says, or of the number of samples where that is more, and `ATOL` at least.
     """
 
     def usable(self, found: Innovations) -> Bool[Array, ""]:
@@ -730,7 +781,7 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.maximum(ATOL, options["least"])
+        return jnp.maximum(ATOL, options["share"] * jnp.maximum(options["samples"], 2 * cost))
 
 
 class Likeliest(eqx.Module):
@@ -746,11 +797,17 @@ class Likeliest(eqx.Module):
     damping: Float[Array, ""]
 
 
-def maximise(task: Likelihood, z, path: Path, max_steps: int, least: float, damping: float) -> Likeliest:
-    """The largest likelihood from z and a path, at most so many steps away."""
+def maximise(
+    task: Likelihood, z, path: Path, max_steps: int, share: float, samples: int, damping: float
+) -> Likeliest:
+    """The largest likelihood from z and a path, at most so many steps away.
+
+    - `share`, `samples`: what a step must be worth, as of `FilterGaussNewton`.
+    """
     options = {
         "limit": jnp.asarray(max_steps),
-        "least": jnp.asarray(least, jnp.result_type(float)),
+        "share": jnp.asarray(share, jnp.result_type(float)),
+        "samples": jnp.asarray(samples, jnp.result_type(float)),
         "damping": jnp.asarray(damping, jnp.result_type(float)),
     }
     y, found, stats = minimise_outside(
