@@ -200,12 +200,14 @@ def test_the_best_that_is_sure_wins_a_round_and_not_what_a_few_windows_pull():
     assert _decided(bench, begun, trials[:1]) is None
 
 
-@pytest.mark.parametrize(("worth", "afresh"), [(10.0, [2.0, 3.0]), (3.5, [])])
-def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_it_as_it_is(worth, afresh):
+@pytest.mark.parametrize(
+    ("worth", "sound", "afresh"), [(10.0, True, [2.0, 3.0]), (3.5, True, []), (3.5, False, [2.0, 3.0])]
+)
+def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_it_as_it_is(worth, sound, afresh):
     """Its prior has a standard deviation of a tenth, and odds of 150 to 1 are a bend by 3.17 of it.
 
     First what disturbs is suited to a file that holds. One that has not bent saves all that a model is worth;
-    those that have, and save less than half of that, stay.
+    those that have, and save less than half of that, stay; unless what it says is no craft's.
     """
     bench, fine = Bench(off(s4=0.3)), usual()
     bench.fine = fine
@@ -228,6 +230,7 @@ def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_it_as_it_is
         begun.append(list(models))
         return [dataclasses.replace(one, cost=1.0) for one in models]
 
+    bench.sound = lambda one: sound
     bench.refine_each = refined
     _search._afresh(bench, dataclasses.replace(bench.fit(), cost=worth), bent)
     held, free = begun

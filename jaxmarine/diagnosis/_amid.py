@@ -42,12 +42,12 @@ def refine_fully(bench: Workbench, model: Model) -> Model:
 
 
 def suited(bench: Workbench, models: Sequence[Model]) -> list[Model]:
-    """Models beside the disturbance that suits each while the file holds; as they are without a disturbance.
+    """Models with the file as it is, each beside the disturbance that suits it while that holds.
 
     Beside one that is too small the file's coefficients would bend until they mean nothing, and a refinement
-    does not find back from there.
+    does not find back from there. As they are without a disturbance, and where the file has bent already.
     """
-    if any(model.beside is None for model in models):
+    if any(model.beside is None or model.z[: len(bench.base)].any() for model in models):
         return list(models)
     held = bench.refine_each([bench.frozen(model) for model in models], FEW_STEPS, ROUGH, 1)
     return [
@@ -126,11 +126,9 @@ def hurried(model: Model) -> Model:
 
 
 def calmed(model: Model) -> Model:
-    """The model beside its disturbance without a swell."""
+    """The model beside its disturbance without the swell that it has."""
     assert model.beside is not None
     force, learned = model.beside.force, model.beside.covariance
-    if not force.swells:
-        return model
     own = np.arange(len(force.axes))
     parts = np.append(own, [len(force.size) - 1] if force.flows else []).astype(int)
     some = {name: getattr(force, name)[parts] for name in ("size", "time", "frequency")}

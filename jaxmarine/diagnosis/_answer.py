@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..effects import place
+from ..fitting import with_swell
 from ..vehicle import Placed, Vehicle
+from ._amid import price, widened
 from ._couplings import couplings
 from ._explanation import Member, Model
 from ._filed import refiled
@@ -15,7 +17,7 @@ from ._judge import Judged
 from ._result import Alternative, Finding, Parameter, Recalibrated, Weighed
 from ._score import lasting, root, solve
 from ._search import STEPS, Round, evidence, putting_back
-from ._workbench import ROUGH, Workbench
+from ._workbench import EXACT, ROUGH, Workbench
 
 # Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
 MOST_CLOSE, OTHERS = 2, 4
@@ -144,9 +146,13 @@ def findings_of(
             name: Parameter(value, float(s), suspect.effect.units[name])
             for (name, value), s in zip(values.items(), std[where], strict=True)
         }
-        without = bench.likeliest(bench.without_member(model, i), STEPS, ROUGH)
+        # As exact as the model beside a disturbance: what is left to gain would count as evidence.
+        rtol = ROUGH if model.beside is None else EXACT
+        without = bench.likeliest(bench.without_member(model, i), STEPS, rtol)
         without = bench.climbed(without, STEPS, ROUGH)
-        saved = 2 * (without.cost - model.cost)
+        if suspect.effect.swings:
+            without = _swelling(bench, without)
+        saved = 2 * (without.cost + price(bench, without) - model.cost - price(bench, model))
         if not np.isfinite(saved):
             # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
             saved = float(putting_back(bench, model, now.stats, where).sum())
@@ -164,6 +170,14 @@ def findings_of(
             )
         )
     return tuple(out)
+
+
+def _swelling(bench: Workbench, model: Model) -> Model:
+    """The model beside a swell, which stands for what swings, if it is likelier so than without one."""
+    if model.beside is None or model.beside.force.swells or not np.isfinite(model.cost):
+        return model
+    wider = widened(bench, model, with_swell)
+    return min(model, wider, key=lambda one: one.cost + price(bench, one))
 
 
 def alternatives(

@@ -187,9 +187,7 @@ def probes(bench: Workbench, model: Model, best: float) -> list[tuple[Member, np
     return out
 
 
-def _swinging(
-    bench: Workbench, model: Model, suspect: int, least: float = 0.0
-) -> list[tuple[Member, np.ndarray]]:
+def _swinging(bench: Workbench, model: Model, suspect: int, least: float) -> list[tuple[Member, np.ndarray]]:
     """A suspect that swings at the start from which it promises most, if that is more than so much."""
     promised, start = wave_start(knots(bench, model))
     value = np.array([start[name] for name in bench.layout.suspects[suspect].slots])
@@ -392,19 +390,24 @@ def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: floa
 
     - `best`: what the best suspect saves beside the disturbance as it is.
     """
+    if not hidden:
+        return []
     joined = [_joined(bench, quick, one, None) for one in hidden]
     without, *refitted = _refined_each(bench, [quick, *joined], FEW_STEPS)
     return [one for one in refitted if trial_of(without, one.members[-1], one).saved > HOPEFUL * best]
 
 
 def _in_step(bench: Workbench, model: Model) -> list[Model]:
-    """Models with each suspect that swings in the place of the disturbance's swell, which hides it."""
+    """Models with each suspect that swings in the place of the disturbance's swell, which hides it.
+
+    They must pay for their numbers as beside it: what the swell's numbers cost is not given back.
+    """
     assert model.beside is not None
     if not model.beside.force.swells:
         return []
     calm = calmed(model)
     swing = [i for i in bench.open(model) if bench.layout.suspects[i].effect.swings]
-    starts = [start for i in swing for start in _swinging(bench, calm, i)]
+    starts = [start for i in swing for start in _swinging(bench, calm, i, penalty(bench, Member(i)))]
     return [_joined(bench, calm, member, value) for member, value in starts]
 
 
@@ -415,8 +418,8 @@ def _afresh(bench: Workbench, model: Model, refitted: Sequence[Model]) -> list[M
     file that holds.
     """
     far = [_bent_far(bench, one) for one in refitted]
-    straight = [model.cost - one.cost for one, bent in zip(refitted, far, strict=True) if not bent]
-    least = HOPEFUL * max(straight, default=0.0)
+    straight = [one for one, bent in zip(refitted, far, strict=True) if not bent and bench.sound(one)]
+    least = HOPEFUL * max((model.cost - one.cost for one in straight), default=0.0)
     bent = [one for one, bent in zip(refitted, far, strict=True) if bent and model.cost - one.cost > least]
     begun = [disturbed(bench, bench.as_filed(one)) for one in sorted(bent, key=lambda m: m.cost)[:AFRESH]]
     return bench.refine_each(suited(bench, begun), 2 * STEPS, ROUGH, 1)

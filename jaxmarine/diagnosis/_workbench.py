@@ -76,7 +76,8 @@ GROUPS = 600
 SAMPLE, SPARSEST = 75, 4
 # Damping with which a refinement begins, at most: as the one before ended, which knows how far a step holds.
 MOST_DAMPING = 0.1
-# A refinement ends where a step promises less than this share of the chi-square: a twentieth of what one of
+# A refinement ends where a step promises less than this share of the chi-square, beside a disturbance of
+# minus twice the logarithm of the likelihood or of the samples, if these are more: a twentieth of what one of
 # some ten thousand samples has left, so that no parameter is a quarter of its standard error away.
 EXACT = 1e-6
 # Steps of a refit that tells roughly what a model is worth beside a disturbance, and that share of it.
@@ -84,6 +85,8 @@ FEW_STEPS, ROUGH = 3, 1e-4
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
+# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
+TOO_FAR = 4.0
 # Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
 STAIRS = 20
 # Of a step: how far beyond its edge the next one is entered, and what rounding makes of an edge.
@@ -493,15 +496,14 @@ class Workbench:
             if model.beside is None or not np.isfinite(model.cost):
                 break
             beside = model.beside
-            # Minus twice the logarithm of the likelihood over that of a model that leaves but noise: what it
-            # misses makes it curve as much more as it will not once that has a name.
-            missed = max(1.0, 2 * model.cost / self.samples)
-            step = rtol * missed * self.samples
+            step = rtol * max(self.samples, 2 * model.cost)
             problem, every = self.lines(model, beside)
             spread = start_spread(problem.start_precision)
-            known = beside.force, self.fine.unit, beside.covariance / missed
+            known = beside.force, self.fine.unit, beside.covariance
             force, learned, _ = estimated(spread, every, *known, enough=step, far=True)
-            now = Beside(force, beside.path, missed * learned)
+            # What a model misses makes the likelihood curve as it will not once that has a name.
+            missed = 2 * model.cost > TOO_FAR * self.samples
+            now = Beside(force, beside.path, beside.covariance if missed else learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > max(LIKELIER, 0.5 * step):
                 return model if model.cost < before.cost else before

@@ -241,7 +241,8 @@ def unlearned(force: Disturbance) -> Float[np.ndarray, "logarithms logarithms"]:
     """Covariance by the curvature, as of `estimated`, that is usual of the `Logarithms` in some minutes.
 
     It is as of sizes that are known to 10 %, memories to 20 %, and periods to 1.5 %, as they were where
-    disturbances were seen well; of a current, which is seen worse, to 30 %.
+    disturbances were seen well; of a current, which is seen worse, to 30 %. A search for what is known less
+    well may end some nats too soon, and goes on where it is done in turn with other numbers.
     """
     size, memory, period, flow = 0.1**2, 0.2**2, 0.015**2, 0.3**2
     meaning = Logarithms(len(force.axes))

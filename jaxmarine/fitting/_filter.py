@@ -47,8 +47,9 @@ CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
-# Steps with which sizes come near at most, and by how much of itself a size is near.
-COMING, NEAR = 6, 0.1
+# Looks with which sizes come near at most, by how much of itself a size is near, and the least that a step
+# leaves of its square.
+COMING, NEAR, SHRINKING = 6, 0.1, 0.01
 # Stands for the improbability of samples along a path that has run away.
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
@@ -627,7 +628,8 @@ def estimated(
         value, slope = _sloped(jnp.asarray(logarithms), jnp.asarray(unit), every, spread, force)
         value, slope = float(value), np.asarray(slope)
         # Where the path has run away there is nothing to be found.
-        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (RUN_AWAY, 0 * slope)
+        usable = np.isfinite(value) and np.isfinite(slope).all()
+        return (value, slope) if usable else (RUN_AWAY, np.zeros_like(slope))
 
     begin = meaning.of(force, unit)
     if far:
@@ -640,7 +642,7 @@ def estimated(
         value, slope = sloped(*(begin + root @ whitened))
         return value, root.T @ slope
 
-    last = np.inf
+    last, _ = sloped(*begin)
 
     def ended(intermediate_result: optimize.OptimizeResult) -> None:
         nonlocal last
@@ -668,7 +670,7 @@ def _come_near(
     """Logarithms whose sizes are about what the samples let one expect, from far away.
 
     Given the samples and sizes that are said, what is new in the disturbance is as large as these say and the
-    slopes add. That alone comes near slowly, so that each step goes twice as far beyond it as the one before.
+    slopes add. That alone comes near slowly, so that the second step goes twice as far, the third four times.
     Source: after Dempster, Laird and Rubin on expectation and maximisation, by Fisher's identity.
 
     - `sloped`: minus twice the logarithm of the likelihood by the logarithms, and its slope.
@@ -681,7 +683,7 @@ def _come_near(
             break
         best, least = begin, value
         larger = np.divide(-0.5 * slope, new, out=np.zeros_like(new), where=new > 0)
-        step = 0.5 * np.log(np.maximum(1 + larger, NEAR**2))
+        step = 0.5 * np.log(np.maximum(1 + larger, SHRINKING))
         if np.abs(step).max() < NEAR:
             break
         begin = begin + faster * step
@@ -781,7 +783,9 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.maximum(ATOL, options["share"] * jnp.maximum(options["samples"], 2 * cost))
+        # Where it could not be begun, what is worth a step is not known.
+        minus_twice = jnp.where(jnp.isfinite(cost), 2 * cost, 0.0)
+        return jnp.maximum(ATOL, options["share"] * jnp.maximum(options["samples"], minus_twice))
 
 
 class Likeliest(eqx.Module):

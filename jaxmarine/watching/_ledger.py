@@ -27,7 +27,6 @@ from ..fitting import (
     estimated,
     flowing,
     nothing_known,
-    unlearned,
     with_current,
     with_swell,
 )
@@ -40,6 +39,8 @@ CHUNK = 80
 SPARE = 16
 # Beginnings before the blocks that are held, at most.
 KEPT = 24
+# Variance of the logarithms of sizes and memories before anything is known of them.
+UNLEARNED = 0.25
 # A disturbance, the covariance of its logarithms, and -2 log p (`fitting.estimated`).
 Estimated = tuple[Disturbance, Float[np.ndarray, "_ _"], float]
 Wider = Callable[..., Disturbance | None]
@@ -74,7 +75,7 @@ class Account:
         size, most = bench.layout.size, 2 * CHUNK
         zero = Sum(-np.inf, 0, np.zeros(size), np.zeros((size, size)))
         said = np.zeros(most), np.zeros((most, size)), np.zeros((most, size, size))
-        learned = unlearned(bench.usual)
+        learned = UNLEARNED * np.eye(count_of(bench.usual))
         return cls(bench.usual, bench.nothing, bench.nothing, 0.0, [zero], said, learned)
 
     def close(self, columns: list[int]) -> None:
@@ -408,7 +409,7 @@ class Ledger:
         wider = with_one(bench.spread, every, force, bench.unit, worth)
         if wider is None or not np.isfinite(worth):
             return -np.inf, found
-        amid = estimated(bench.spread, every, wider, bench.unit, unlearned(wider))
+        amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(count_of(wider)))
         return 0.5 * (worth - amid[2]) - (self.price(wider) - self.price(force)), amid
 
     def _best_steady(self, account: Account, members: Sequence[Member]) -> float:
@@ -433,7 +434,7 @@ class Ledger:
         out = account.branched()
         if not account.force.flows:
             out.force = flowing(account.force)
-            out.learned = unlearned(out.force)
+            out.learned = UNLEARNED * np.eye(count_of(out.force))
             out.before = account.before.widened(account.force, out.force)
         self.estimate(out, members)
         return out
