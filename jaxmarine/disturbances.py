@@ -10,15 +10,20 @@ from ._types import DOFS
 
 @dataclasses.dataclass(frozen=True)
 class RandomWrench:
-    """A Gauss-Markov wrench on the hull in body axes, a swell (the same with a period), and a current.
+    """A Gauss-Markov wrench on the hull in body axes, a swell, a drift in earth axes, and a current.
 
-    Each axis has its own; what acts on two axes at once is not described. Source: after Fossen (2021), on
-    shaping filters for slowly varying forces and for waves.
+    Each axis has its own; what acts on two axes at once is not described. A swell is white noise through
+
+        s / (s^2 + 2 s / swell_memory + 1 / swell_memory^2 + (2 pi / period)^2),
+
+    so that no part of it lasts. Source: after Fossen (2021), on filters for slowly varying forces, in body
+    and in earth axes, and for waves.
 
     - `size` [6]: standard deviation [N, N m], 0 where nothing acts; `memory` [6]: time [s] in which it
       forgets all but 1/e, read where something acts.
     - `swell` [6]: standard deviation of the swell [N, N m]; `period` [s]; `swell_memory` [s]: how long it
       stays in step with itself.
+    - `drift`: standard deviation of a force to the north and to the east [N], each; `drift_memory` [s].
     - `current`: standard deviation of the water's velocity to the north and to the east [m/s], each;
       `current_memory` [s].
     """
@@ -28,6 +33,8 @@ class RandomWrench:
     swell: Float[np.ndarray, "6"] = dataclasses.field(default_factory=lambda: np.zeros(6))
     period: float | None = None
     swell_memory: float | None = None
+    drift: float = 0.0
+    drift_memory: float | None = None
     current: float = 0.0
     current_memory: float | None = None
 
@@ -40,29 +47,41 @@ class RandomWrench:
         `simulate` holds each until the next: where samples are farther apart than a small part of a memory or
         of a period, that pushes more than the disturbance would, of which means over a hold are smaller.
         """
-        decay = 1.0 / np.where(self.size > 0, self.memory, 1.0).astype(complex)
-        size = np.asarray(self.size, float)
-        if self.period is not None and self.swell_memory is not None:
-            turning = np.full(6, 1.0 / self.swell_memory - 2j * np.pi / self.period)
-            decay, size = np.concatenate([decay, turning]), np.concatenate([size, self.swell])
-        # Of a pair that turns, the real part is what pushes: both have the standard deviation `size`.
-        normal = np.random.default_rng(seed).normal(size=(len(t), len(size), 2)) @ np.array([1.0, 1j])
-        gap = np.diff(t, prepend=-np.inf)[:, None]
-        left = np.exp(-decay * np.where(np.isfinite(gap), gap, 0.0)) * np.isfinite(gap)
-        new = np.sqrt(1.0 - np.abs(left) ** 2) * size * normal
-        out = np.empty_like(new)
-        now = np.zeros(len(size), complex)
-        for k in range(len(t)):
-            now = left[k] * now + new[k]
-            out[k] = now
-        return out.real.reshape(len(t), -1, 6).sum(axis=1)
+        rng, gap = np.random.default_rng(seed), np.diff(t, prepend=-np.inf)
+        out = _course(np.where(self.size > 0, self.memory, 1.0), self.size, gap, rng)
+        return out if self.period is None else out + self._swelling(gap, rng)
+
+    def _swelling(
+        self, gap: Float[np.ndarray, " times"], rng: np.random.Generator
+    ) -> Float[np.ndarray, "times 6"]:
+        """The swell at times that are so far apart [s]: the first of two numbers that turn, on each axis.
+
+        As `fitting.Disturbance` has them: what is new in both is one number, in such a direction that the
+        first is white noise through the filter of this class.
+        """
+        assert self.period is not None and self.swell_memory is not None
+        frequency = 2 * np.pi / self.period
+        slow = 1.0 / (frequency * self.swell_memory)
+        whole = np.array([[1.0, slow], [slow, 1.0 + 2.0 * slow**2]])
+        angle = frequency * np.where(np.isfinite(gap), gap, 0.0)
+        turns = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        stays = np.moveaxis(np.exp(-gap / self.swell_memory) * turns, 2, 0)
+        value, way = np.linalg.eigh(whole - stays @ whole @ np.swapaxes(stays, 1, 2))
+        # Rounding makes the lesser one of a short time less than nothing.
+        root = way * np.sqrt(np.maximum(value, 0.0))[:, None]
+        now, out = np.zeros((2, 6)), np.empty((len(gap), 6))
+        for k, new in enumerate(root @ rng.normal(size=(len(gap), 2, 6))):
+            now = stays[k] @ now + new
+            out[k] = now[0]
+        return self.swell * out
 
     def draw_current(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 3"]:
         """One course of the water's velocity, as `simulate` takes it for `water`."""
-        memory = self.current_memory or 1.0
-        level = np.array([self.current, self.current, 0, 0, 0, 0])
-        # Another seed than that of the wrench: the two do not go together.
-        return RandomWrench(level, np.full(6, memory)).draw(t, np.random.SeedSequence([seed, 1]))[:, :3]
+        return _level(self.current, self.current_memory, t, np.random.SeedSequence([seed, 1]))
+
+    def draw_drift(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 3"]:
+        """One course of the force in earth axes, as `simulate` takes it for `drift`."""
+        return _level(self.drift, self.drift_memory, t, np.random.SeedSequence([seed, 2]))
 
     def to_json(self) -> dict:
         """What `diagnosis.json` holds of it: of each axis on which it acts, of swell and current, if any."""
@@ -76,9 +95,36 @@ class RandomWrench:
             if len(one) > 1:
                 axes[dof] = one
         period = {"period_s": self.period, "swell_memory_s": self.swell_memory}
+        drift = {"size_N": self.drift, "memory_s": self.drift_memory}
         current = {"size_m_s": self.current, "memory_s": self.current_memory}
         return (
             {"axes": axes}
             | (period if self.period is not None else {})
+            | ({"drift": drift} if self.drift_memory is not None else {})
             | ({"current": current} if self.current_memory is not None else {})
         )
+
+
+def _course(
+    memory: Float[np.ndarray, " n"],
+    size: Float[np.ndarray, " n"],
+    gap: Float[np.ndarray, " times"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "times n"]:
+    """Gauss-Markov numbers of some memories [s] and sizes, at times that are so far apart [s]."""
+    left = np.exp(-gap[:, None] / memory)
+    out, now = np.sqrt(1.0 - left**2) * size * rng.normal(size=left.shape), np.zeros(len(size))
+    for k in range(len(gap)):
+        now = out[k] = left[k] * now + out[k]
+    return out
+
+
+def _level(
+    size: float, memory: float | None, t: Float[np.ndarray, " times"], seed: np.random.SeedSequence
+) -> Float[np.ndarray, "times 3"]:
+    """One course of what has a size to the north and to the east, and no part downwards.
+
+    - `seed`: another than that of the wrench, which it does not go with.
+    """
+    gap, rng = np.diff(t, prepend=-np.inf), np.random.default_rng(seed)
+    return np.pad(_course(np.full(2, memory or 1.0), np.full(2, size), gap, rng), ((0, 0), (0, 1)))

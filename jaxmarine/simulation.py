@@ -252,7 +252,7 @@ def _slopes(plant: Plant, state: State) -> tuple[Array, Array]:
     return jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
 
 
-def inputs(plant: Plant, t: Times, commands, wrench, water=None) -> tuple[Input, Input]:
+def inputs(plant: Plant, t: Times, commands, wrench, water=None, drift=None) -> tuple[Input, Input]:
     """The inputs over each hold and at each sample.
 
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
@@ -263,18 +263,18 @@ def inputs(plant: Plant, t: Times, commands, wrench, water=None) -> tuple[Input,
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
     push = thrust(drive, t, commands)
     middle = t + 0.5 * step_lengths(t)
-    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving, water)
-    return over, Input(push.instant, commands, wrench, t, moving=moving, water=water)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving, water, drift)
+    return over, Input(push.instant, commands, wrench, t, moving=moving, water=water, drift=drift)
 
 
 @eqx.filter_jit
 def _roll_out(
-    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, water, solver, split, width: int
+    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, water, drift, solver, split, width
 ):
     plants = jax.vmap(vehicle.plant)(acting)
     # Masses inside are no effects: they are the same in all segments.
     sampled = eqx.tree_at(lambda p: p.masses, jax.tree.map(lambda a: a[segment], plants), vehicle.masses)
-    over, at = inputs(sampled, t, commands, wrench, water)
+    over, at = inputs(sampled, t, commands, wrench, water, drift)
 
     def step(state, now):
         index, over, at, dt, split = now
@@ -313,6 +313,7 @@ def simulate(
     push: Float[np.ndarray, "times 6"] | None = None,
     sensors: Sequence[str] = (),
     water: Float[np.ndarray, "times 3"] | None = None,
+    drift: Float[np.ndarray, "times 3"] | None = None,
 ) -> Trajectory:
     """Simulates the vehicle from `start` under the commands (or control wrench) of a log.
 
@@ -323,6 +324,7 @@ def simulate(
     - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands, held from sample to
       sample: what disturbs it, such as a draw of a `RandomWrench`.
     - `water`: velocity of the water [m/s, north, east, down] beside the vehicle's own, held likewise.
+    - `drift`: a force at the vehicle's origin [N, north, east, down], held likewise.
     - `sensors`: kinds to show beside those of every log and of this one: "water_velocity", "specific_force".
     """
     unknown = [kind for kind in sensors if kind not in ALL_SENSORS]
@@ -347,6 +349,7 @@ def simulate(
         commands,
         wrench,
         None if water is None else jnp.asarray(water),
+        None if drift is None else jnp.asarray(drift),
         solver,
         jnp.asarray(split),
         max(log.channels.shape[1], asked_for),

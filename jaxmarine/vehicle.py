@@ -101,8 +101,9 @@ class Input(eqx.Module):
 
     Over a hold `thrust` is its mean, and changes by `slope` [N/s] about the time `middle`. `moving` is
     the motion of masses inside, one of each kind; None: they rest where the file has them. `water` is a
-    velocity of the water [m/s] NED beside the plant's own, None where there is none. Those of many times or
-    logs are stacked, for `vmap` and `scan` to take apart.
+    velocity of the water [m/s] NED beside the plant's own, `drift` a force at o [N] NED beside the wrench in
+    body axes, None where there is none. Those of many times or logs are stacked, for `vmap` and `scan` to
+    take apart.
     """
 
     thrust: Float[Array, "*times columns"]
@@ -113,6 +114,7 @@ class Input(eqx.Module):
     middle: Float[Array, "*times"] | None = None
     moving: tuple[Any, ...] | None = None
     water: Float[Array, "*times 3"] | None = None
+    drift: Float[Array, "*times 3"] | None = None
 
 
 class Body(eqx.Module):
@@ -481,6 +483,8 @@ class Plant(eqx.Module):
             - self.pushed(drive.thrust, motion.nu_r, state.velocity, motion.rotation)
             - drive.wrench
         )
+        if drive.drift is not None:
+            out = out - jnp.concatenate([apply(motion.rotation.T, drive.drift), jnp.zeros(3)])
         for one, inside in self._moving(drive):
             out = out + one.reaction(inside, drive.t, state.velocity)
         begin = 0

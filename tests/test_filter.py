@@ -1,13 +1,15 @@
 """The filter against the dense Gaussian that it factorises, and against noise of known colour."""
 
 import dataclasses
+import itertools
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
@@ -18,10 +20,10 @@ from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
 from jaxmarine.diagnosis._prepare import workbench
 from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
-from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves
-from jaxmarine.fitting import _filter, flowing, with_current, with_swell
+from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves, WindPush
+from jaxmarine.fitting import _filter, drifting, flowing, with_current, with_drift, with_swell
 from jaxmarine.fitting._disturbance import (
-    FLOW,
+    PLANE,
     USUAL_FLOW,
     Disturbance,
     Logarithms,
@@ -36,14 +38,18 @@ from jaxmarine.vehicle import Placed, Vehicle
 from tests.boats import NOISE, boat, steps
 
 STEPS, ROWS, AXES, COLUMNS = 3, 4, 2, 5
+# Whether there is a swell, a drift and a current.
+PLAIN, ALL = (False, False, False), (True, True, True)
+KINDS = list(itertools.product([False, True], repeat=3))
 SPREAD = np.full(12, 0.7)
 
 
 def windows_of(
-    joined: list[bool], gap: list[float], swells: bool = False, flows: bool = False
+    joined: list[bool], gap: list[float], kind: tuple[bool, bool, bool] = PLAIN
 ) -> tuple[Windowed, Disturbance]:
     """Some random windows: linear systems with states of 13 numbers that change in 12 ways."""
     count, rng = len(joined), np.random.default_rng(3)
+    swells, drifts, flows = kind
 
     def normal(*shape, scale=1.0):
         return jnp.asarray(scale * rng.normal(size=(count, *shape)))
@@ -51,6 +57,8 @@ def windows_of(
     size, time, frequency = [0.8, 1.7], [0.9, 3.0], [0.0, 0.0]
     if swells:
         size, time, frequency = [*size, 1.1, 0.6], [*time, 2.0, 2.0], [*frequency, 1.3, 1.3]
+    if drifts:
+        size, time, frequency = [*size, 0.9], [*time, 4.0], [*frequency, 0.0]
     if flows:
         size, time, frequency = [*size, 0.7], [*time, 1.5], [*frequency, 0.0]
     force = Disturbance(
@@ -60,14 +68,16 @@ def windows_of(
         gap=jnp.asarray(gap),
         joined=jnp.asarray(joined),
         axes=(0, 5),
+        drifts=drifts,
         flows=flows,
     )
     # One by one: a record is of one window.
     line = jax.vmap(Line)(
-        f=normal(STEPS, 13, 13 + AXES + FLOW, scale=0.3),
-        h=normal(STEPS, ROWS, 13 + AXES + FLOW, scale=0.5),
+        f=normal(STEPS, 13, 13 + AXES + PLANE, scale=0.3),
+        h=normal(STEPS, ROWS, 13 + AXES + PLANE, scale=0.5),
         residual=normal(STEPS, ROWS, COLUMNS),
         dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
+        level=normal(STEPS, AXES, PLANE, scale=0.6),
         begin=normal(13, 12),
     )
     return jax.vmap(Windowed)(
@@ -95,7 +105,7 @@ def joined_up(every: Windowed, force: Disturbance):
 def left(force: Disturbance, dt: float) -> np.ndarray:
     """From the disturbance's states to those some time later: decay, and turns of the swell's pairs.
 
-    The water's two velocities are no pair: they decay alike, and do not turn.
+    What is to the north and to the east is no pair: it decays alike, and does not turn.
     """
     return expm(dt * rates_of(force))
 
@@ -110,16 +120,34 @@ def rates_of(force: Disturbance) -> np.ndarray:
     return block_diag(*blocks)
 
 
+def pushes_of(force: Disturbance) -> np.ndarray:
+    """Intensity of the white noise that moves the disturbance's states.
+
+    One noise moves both numbers of a pair, in the direction in which the transfer function of the first has
+    no numerator but s.
+    """
+    size, time, frequency = (np.asarray(one) for one in (force.size, force.time, force.frequency))
+    blocks = []
+    for k in range(len(size)):
+        if frequency[k]:
+            # (s + 1/T) b_1 - w b_2 is s b_1: b_2 = b_1 / (w T).
+            way = np.array([1.0, 1.0 / (frequency[k] * time[k])])
+            blocks.append(size[k] ** 2 * 4.0 / time[k] * np.outer(way, way))
+        else:
+            blocks.append(2.0 * size[k] ** 2 / time[k] * np.eye(1 if k < AXES else PLANE))
+    return block_diag(*blocks)
+
+
 def van_loan(force: Disturbance, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Of the disturbance's states after some time, and of their mean over it: by the states before, and new.
 
     By matrix exponentials of the states beside their integral (Van Loan, 1978).
     """
-    rates, size = rates_of(force), np.asarray(force.level)
+    rates = rates_of(force)
     n = len(rates)
     along = np.block([[rates, np.zeros((n, n))], [np.eye(n) / dt, np.zeros((n, n))]])
     noise = np.zeros_like(along)
-    noise[:n, :n] = np.diag(-2.0 * np.diag(rates) * size**2)
+    noise[:n, :n] = pushes_of(force)
     power = expm(dt * np.block([[-along, noise], [np.zeros_like(along), along.T]]))
     goes_on = power[2 * n :, 2 * n :].T
     spread = goes_on @ power[: 2 * n, 2 * n :]
@@ -131,16 +159,19 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
 
     State and disturbance are written out as sums of what is new: a start's changes, and its pushes.
     """
-    size = np.asarray(force.size)
-    states = np.concatenate([np.arange(AXES), np.repeat(np.arange(AXES, len(size)), 2)])
+    whole = solve_continuous_lyapunov(rates_of(force), -pushes_of(force))
+    states = np.arange(len(whole))
     pairs = [np.kron(np.eye(AXES), [[1, 0]])] if force.swells else []
-    water = np.eye(FLOW) if force.flows else np.zeros((FLOW, 0))
-    output = block_diag(np.concatenate([np.eye(AXES), *pairs], axis=1), water)
+    water = np.eye(PLANE) if force.flows else np.zeros((PLANE, 0))
+
+    def output(level: np.ndarray) -> np.ndarray:
+        drift = [level] if force.drifts else []
+        return block_diag(np.concatenate([np.eye(AXES), *pairs, *drift], axis=1), water)
 
     def new(stays: np.ndarray) -> np.ndarray:
         """The root of what is new where so much stays: sizes stay as they are."""
-        own = np.diag(size[states] ** 2)
-        return np.linalg.cholesky(own - stays @ own @ stays.T + 1e-300 * np.eye(len(own)))
+        own = whole - stays @ whole @ stays.T
+        return np.linalg.cholesky(own + 1e-14 * np.eye(len(own)))
 
     count, news = len(every.gap), len(every.gap) * (12 + len(states) * (2 * STEPS + 1))
     at, rows, seen = 0, [], []
@@ -163,15 +194,15 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         wrench[:, at : at + len(states)] += new(stays)
         at += len(states)
         for k in range(STEPS):
-            h, f = window.line.h[k], window.line.f[k]
-            rows.append(h @ np.concatenate([state, output @ wrench]))
+            h, f, by = window.line.h[k], window.line.f[k], output(window.line.level[k])
+            rows.append(h @ np.concatenate([state, by @ wrench]))
             seen.append(window.line.residual[k] - h[:, :13] @ known)
             goes_on, spread = van_loan(force, float(window.line.dt[k]))
             both = goes_on @ wrench
             both[:, at : at + len(both)] += np.linalg.cholesky(spread + 1e-15 * np.eye(len(both)))
             at += len(both)
             wrench, mean = np.split(both, 2)
-            state, known = f @ np.concatenate([state, output @ mean]), f[:, :13] @ known
+            state, known = f @ np.concatenate([state, by @ mean]), f[:, :13] @ known
         before = window.end
     b = np.concatenate(rows)
     return np.concatenate(seen), b @ b.T + np.eye(len(b))
@@ -182,21 +213,33 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
 )
 def test_a_disturbance_over_a_hold_is_its_integral(share, off):
     """Means and what is new in them, for holds from a hundredth of its memories to many of them."""
-    _, force = windows_of([False], [1e6], swells=True, flows=True)
+    _, force = windows_of([False], [1e6], ALL)
     dt, n = share * float(force.time.min()), force.states
     goes_on, spread = van_loan(force, dt)
     over = force.over(jnp.asarray(dt))
-    level = np.outer(force.level, force.level)
-    # Eight places of an integral tell no more.
+    whole = solve_continuous_lyapunov(rates_of(force), -pushes_of(force))
+    np.testing.assert_allclose(force.spread, whole, rtol=1e-12, atol=1e-12)
+    level = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
+    # So few places of an integral tell no more.
     close = {"rtol": 0, "atol": off}
     np.testing.assert_allclose(over.mean, goes_on[n:], **close)
     np.testing.assert_allclose(over.variance / level, spread[n:, n:] / level, **close)
     np.testing.assert_allclose(over.covariance / level, spread[:n, n:] / level, **close)
     # The states themselves are what they were.
     np.testing.assert_allclose(force.after(jnp.asarray(dt), jnp.eye(n)), goes_on[:n], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(
-        force.new(jnp.asarray(dt)) / np.diag(level), np.diag(spread[:n, :n] / level), **close
-    )
+    # Of many memories their exponential, which also grows, leaves fewer digits.
+    new = force.new(jnp.asarray(dt))
+    np.testing.assert_allclose(new / level, spread[:n, :n] / level, rtol=0, atol=1e-11)
+
+
+def test_a_force_in_earth_axes_is_turned_into_those_of_the_craft():
+    """By another library's rotations; a force at the origin has no moment."""
+    turns = Rotation.from_euler("ZYX", [[2.0, 0.3, -0.4], [-0.7, 0.0, 0.0]])
+    axes = 0, 1, 2, 5
+    found = _filter.level_on(axes, jnp.asarray(turns.as_quat(scalar_first=True)))
+    for k, force in enumerate([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]):
+        np.testing.assert_allclose(found[:, :3, k], turns.apply(force, inverse=True), atol=1e-12)
+    assert (np.asarray(found)[:, 3] == 0).all()
 
 
 def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
@@ -206,7 +249,7 @@ def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
     assert np.abs(over.variance).max() < 1e-12
 
 
-@pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, True)])
+@pytest.mark.parametrize("kind", [PLAIN, ALL])
 @pytest.mark.parametrize(
     ("joined", "gap"),
     [
@@ -216,9 +259,9 @@ def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
         ([False, False, True], [1e6, 1e6, 0.0]),
     ],
 )
-def test_the_filter_is_the_dense_gaussian(joined, gap, swells, flows):
+def test_the_filter_is_the_dense_gaussian(joined, gap, kind):
     """Windows that go on, begin anew, follow after a gap, and belong to another log."""
-    every, force = windows_of(joined, gap, swells, flows)
+    every, force = windows_of(joined, gap, kind)
     information, log_det = joined_up(every, force)
     seen, covariance = dense(every, force)
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
@@ -238,25 +281,25 @@ def test_a_disturbance_of_no_size_is_none():
     np.testing.assert_allclose(information, seen.T @ np.linalg.solve(covariance, seen), rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize(("swells", "flows"), [(False, False), (True, False), (False, True), (True, True)])
-def test_sizes_and_memories_come_back_from_their_logarithms(swells, flows):
-    _, force = windows_of([False], [1e6], swells, flows)
+@pytest.mark.parametrize("kind", KINDS)
+def test_sizes_and_memories_come_back_from_their_logarithms(kind):
+    _, force = windows_of([False], [1e6], kind)
     meaning, unit = Logarithms(AXES), np.array([20.0, 3.0])
     again = meaning.set(force, jnp.asarray(unit), jnp.asarray(meaning.of(force, unit)))
     for name in ("size", "time", "frequency"):
         np.testing.assert_allclose(getattr(again, name), getattr(force, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize("flows", [False, True])
-def test_without_its_swell_a_disturbance_is_one_whose_swell_has_no_size(flows):
+@pytest.mark.parametrize("others", [(False, False), (True, False), (False, True), (True, True)])
+def test_without_its_swell_a_disturbance_is_one_whose_swell_has_no_size(others):
     """By the likelihood; and what is known of the other logarithms stays with them."""
-    every, force = windows_of([False, True, False], [1e6, 0.0, 0.4], True, flows)
+    every, force = windows_of([False, True, False], [1e6, 0.0, 0.4], (True, *others))
     still = dataclasses.replace(force, size=force.size.at[AXES : 2 * AXES].set(0.0))
     known = np.random.default_rng(0).normal(size=(count_of(force),) * 2)
     path = _filter.Path.measured(3, force.axes)
     model = Model((), np.zeros(0), jnp.zeros((3, 12)), 0.0, beside=Beside(force, path, known))
     calm = _amid.calmed(model).beside
-    assert not calm.force.swells and calm.force.flows == flows
+    assert calm.force.kind == (False, *others)
     for mine, its in zip(joined_up(every, calm.force), joined_up(every, still), strict=True):
         np.testing.assert_allclose(mine, its, rtol=1e-9, atol=1e-9)
     unit, meaning = np.ones(AXES), Logarithms(AXES)
@@ -644,6 +687,41 @@ def wandering() -> np.ndarray:
     return wanders.draw_current(0.1 * np.arange(round(LENGTH / 0.1)), 3)
 
 
+def drifted(force: np.ndarray) -> Log:
+    """A log of the boat, which turns all the while, under a force to the north and to the east [N]."""
+    t = 0.1 * np.arange(len(force))
+    given = np.zeros((len(t), 6))
+    given[:, [0, 1, 5]] = steps(len(t), seed=2, hold=40) * [40.0, 20.0, 4.0] + [0.0, 0.0, 6.0]
+    blank = Log(t, np.full((len(t), 18), np.nan), None, given, (), "log.csv")
+    shown = np.asarray(simulate(boat(), blank, initial_state(boat()), drift=force).channels)
+    noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
+    return dataclasses.replace(
+        blank, channels=shown + noise * np.random.default_rng(8).normal(size=shown.shape)
+    )
+
+
+@pytest.mark.slow
+def test_a_force_that_keeps_its_direction_is_told_from_one_that_turns_with_the_hull():
+    """Size and memory within three standard errors; a steady one is left to its name."""
+    size, lasts, zero = 4.0, 12.0, np.zeros(6)
+    t = 0.1 * np.arange(round(LENGTH / 0.1))
+    force = RandomWrench(zero, zero, drift=size, drift_memory=lasts).draw_drift(t, 3)
+    bench, pushed = estimated_on(drifted(force))
+    amid = _amid.widened(bench, pushed, with_drift)
+    found = amid.beside.force
+    # Of 2 * 240 s / (2 * 12 s) independent values: 16 % of a size.
+    assert found.drifts and amid.cost < pushed.cost - 50
+    assert float(found.size[-1]) == pytest.approx(size, rel=0.5)
+    assert abs(np.log(float(found.time[-1]) / lasts)) < 1.2
+    # What turns with the hull gives way.
+    assert np.all(np.asarray(found.size[:2]) < 0.5 * np.asarray(pushed.beside.force.size[:2]))
+    steady = np.tile([4.0, -2.0, 0.0], (len(t), 1))
+    bench = workbench(boat(), (drifted(steady),), (LinearDamping, QuadraticDamping, WindPush), None)
+    model = bench.likeliest(_amid.disturbed(bench, bench.frozen(bench.start())))
+    assert not amid_more(bench, model).beside.force.drifts
+    assert amid_more(bench, model, steady=False).beside.force.drifts
+
+
 @pytest.mark.slow
 def test_a_current_is_told_from_wrenches():
     """Its size and memory within three standard errors, and where the water went; wrenches hardly stay."""
@@ -658,22 +736,25 @@ def test_a_current_is_told_from_wrenches():
     assert abs(np.log(float(force.time[-1]) / LASTS)) < 1.5
     assert np.all(np.asarray(force.size[:3]) < 0.5 * np.asarray(pushed.beside.force.size))
     middle = np.asarray(bench.fine.problem.windows.step)[: bench.fine.count].mean(axis=1)
-    expected = np.asarray(model.beside.path.push)[: bench.fine.count, -FLOW:]
+    expected = np.asarray(model.beside.path.push)[: bench.fine.count, -PLANE:]
     went = water[middle.astype(int), :2]
     later = slice(20, None)  # ten seconds after which something is known
     assert np.sqrt(((expected - went)[later] ** 2).mean()) < 0.5 * went[later].std()
+
+
+CURRENT = (False, False, True)
 
 
 @pytest.mark.slow
 def test_a_current_is_taken_alone_and_a_steady_one_is_left_to_its_name():
     """Beside the one that wanders no swell pays for its numbers."""
     catalogue = (LinearDamping, QuadraticDamping, SteadyCurrent)
-    for water, kind in ((wandering(), (False, True)), (np.tile([0.2, -0.1, 0.0], (2400, 1)), (False, False))):
+    for water, kind in ((wandering(), CURRENT), (np.tile([0.2, -0.1, 0.0], (2400, 1)), PLAIN)):
         bench = workbench(boat(), (in_water(water),), catalogue, None)
         model = bench.likeliest(_amid.disturbed(bench, bench.frozen(bench.start())))
         assert amid_more(bench, model).beside.force.kind == kind
         # Where a search has not named it, it disturbs all the same.
-        assert amid_more(bench, model, steady=False).beside.force.kind == (False, True)
+        assert amid_more(bench, model, steady=False).beside.force.kind == CURRENT
 
 
 @pytest.mark.slow
@@ -688,7 +769,7 @@ def test_where_nothing_disturbs_sizes_go_to_zero():
 
 
 @pytest.mark.parametrize("axes", [(0,), (0, 1, 5)])
-@pytest.mark.parametrize("order", ["swell, current", "current, swell"])
+@pytest.mark.parametrize("order", [*map(", ".join, itertools.permutations(["swell", "drift", "current"]))])
 def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     """The wrench on the craft and its covariance with all else are as before, but for what is new."""
     n, rng, nothing = len(axes), np.random.default_rng(3), jnp.zeros(1)
@@ -708,23 +789,23 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     )
     now = narrow
     for name in order.split(", "):
-        wider = {"swell": swelling, "current": flowing}[name](now)
+        wider = {"swell": swelling, "drift": lambda one: drifting(one, 3.0), "current": flowing}[name](now)
         message, now = message.widened(now, wider), wider
-    assert now.kind == (True, True)
+    assert now.kind == ALL
+    heading = jnp.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])
+    level = _filter.level_on(axes, heading)
 
     def pushed(force, message):
-        by = np.asarray(block_diag(np.eye(13), force.output))
+        by = np.asarray(block_diag(np.eye(13), force.output(level)))
         return by @ message.mean, by @ message.covariance @ by.T
 
-    new = np.zeros(13 + n + FLOW)
-    new[13 : 13 + n] = np.arange(1.0, n + 1) ** 2
-    new[13 + n :] = USUAL_FLOW.median**2
+    swell, drift = np.arange(1.0, n + 1) ** 2, 3.0**2 * np.asarray(level @ level.T)
+    new = block_diag(np.zeros((13, 13)), np.diag(swell) + drift, USUAL_FLOW.median**2 * np.eye(PLANE))
     first = _filter.Message(message.mean[:states], jnp.asarray(root @ root.T), message.end)
     mean, covariance = pushed(now, message)
     before = pushed(narrow, dataclasses.replace(first, mean=message.mean[:states]))
     np.testing.assert_allclose(mean, before[0])
-    np.testing.assert_allclose(covariance, before[1] + np.diag(new))
-    # The second of each pair is as large as the first.
-    assert np.trace(message.covariance) == pytest.approx(
-        np.trace(root @ root.T) + 2 * np.sum(np.arange(1.0, n + 1) ** 2) + new[13 + n :].sum()
-    )
+    np.testing.assert_allclose(covariance, before[1] + new)
+    # The second of each pair is a little larger than the first: it turns by 1 rad/s for 10 s.
+    sizes = (2 + 2 / 10.0**2) * swell.sum() + PLANE * (3.0**2 + USUAL_FLOW.median**2)
+    assert np.trace(message.covariance) == pytest.approx(np.trace(root @ root.T) + sizes)

@@ -34,7 +34,17 @@ from jaxmarine.effects import (
     Waves,
     place,
 )
-from jaxmarine.fitting import FLOW, Disturbance, Message, Records, Trail, Windows, count_of, flowing
+from jaxmarine.fitting import (
+    PLANE,
+    Disturbance,
+    Message,
+    Records,
+    Trail,
+    Windows,
+    count_of,
+    flowing,
+    level_on,
+)
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
@@ -474,7 +484,7 @@ def test_what_fluids_remember_hangs_on_the_past_alone(begun):
     rows = passage.rows.part(0, bench.past + bench.steps + 1)
     other = np.array(rows.channels)
     other[-bench.steps :] += 10 * bench.noise * np.random.default_rng(2).normal(size=(bench.steps, 18))
-    start = Begun(np.zeros(3), np.array([1.0, 0, 0, 0]), np.ones(6), np.zeros(len(bench.axes) + FLOW))
+    start = Begun(np.zeros(3), np.array([1.0, 0, 0, 0]), np.ones(6), np.zeros(len(bench.axes) + PLANE))
     faster, still = np.zeros((2, 20, 13))
     faster[:, 3], faster[:, 7:], still[:, 3] = 1.0, 0.5, 1.0
 
@@ -711,8 +721,9 @@ def test_a_swell_that_keeps_in_step_starts_as_the_wave_that_pushes_so(unchecked)
     found = [dict(zip(slots, z + layout.neutral_of(0), strict=True)) for z in some]
     assert [60.0 / one["period"] - 60.0 / period for one in found] == pytest.approx(SLIPS)
     wave = Waves(*(jnp.asarray(found[0][name]) for name in ("north", "east", "period", "phase")))
+    by = force.output(level_on(force.axes, jnp.asarray(begun.attitude)))
     for after in (0.0, 1.3, 4.0):
-        push = -(force.output @ force.after(jnp.asarray(after), jnp.asarray(states)[:, None]))[:3, 0]
+        push = -(by @ force.after(jnp.asarray(after), jnp.asarray(states)[:, None]))[:3, 0]
         here: Any = SimpleNamespace(t=ends + after, rotation=jnp.asarray(heading.as_matrix()))
         np.testing.assert_allclose(wave(here)[:2], push[:2], rtol=1e-9, atol=1e-9)
 

@@ -1,6 +1,8 @@
 """What the simulation gets wrong, why, and what it buys to mend it."""
 
 from .._progress import Estimate as Estimate
+from ._amid import STEADY as STEADY
+from ._amid import steady_of as steady_of
 from ._criteria import Criteria as Criteria
 from ._diagnose import diagnose as diagnose
 from ._disturbed import known as known

@@ -1,25 +1,37 @@
-"""What disturbance the model stands amid: wider by a swell or a current where the logs ask for one."""
+"""Amid what a model stands: a disturbance, wider by a swell, a drift or a current where logs ask for one."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import runaway
-from ..effects import WaterEffect
+from ..effects import AbstractEffect, WaterEffect, WindPush
 from ..fitting import (
     USUAL_MEMORY,
-    Disturbance,
+    Wider,
     count_of,
     improbability,
     start_spread,
     unlearned,
+    wider_by,
     with_current,
-    with_swell,
+    with_drift,
+    without_swell,
 )
 from ._explanation import Beside, Member, Model
+from ._saturated import Layout
 from ._workbench import FEW_STEPS, ROUGH, Workbench
+
+# Of what wanders, the cause that does the same and is steady.
+STEADY: dict[Wider, type[AbstractEffect]] = {with_drift: WindPush, with_current: WaterEffect}
+
+
+def steady_of(layout: Layout, wider: Sequence[Wider] = tuple(STEADY)) -> list[int]:
+    """Suspects that are steady and do what one of some wider disturbances does while it wanders."""
+    causes = tuple(STEADY[one] for one in wider)
+    return [i for i, one in enumerate(layout.suspects) if issubclass(one.effect, causes)]
 
 
 def disturbed(bench: Workbench, model: Model) -> Model:
@@ -57,31 +69,29 @@ def suited(bench: Workbench, models: Sequence[Model]) -> list[Model]:
 
 
 def amid_more(bench: Workbench, model: Model, steady: bool = True) -> Model:
-    """The model beside a swell and a current too, where the logs are likelier so by the odds of a name.
+    """The model beside a swell, a drift and a current too, where logs are likelier so by the odds of a name.
 
     Each of their numbers is paid for as a name's are (Schwarz). As it is without a disturbance.
 
-    - `steady`: leaves a current that suits the logs better where it is steady to its name; False asks
-      once more for that current alone.
+    - `steady`: leaves a drift or a current that suits the logs better where it is steady to its name; False
+      asks once more for those alone.
     """
     if model.beside is None:
         return model
-    force, left = model.beside.force, []
-    if steady and not force.swells:
-        left.append(with_swell)
-    if not force.flows and {0, 1} & set(force.axes):
-        left.append(with_current)
+    left = wider_by(model.beside.force)
+    if not steady:
+        left = [one for one in left if one in STEADY]
     while left:
         amid = [widened(bench, model, one) for one in left]
         priced = [one.cost + price(bench, one) for one in amid]
         best = int(np.argmin(np.nan_to_num(priced, nan=np.inf)))
         if not priced[best] < model.cost + price(bench, model) - bench.criteria.nats:
             break
-        if left.pop(best) is with_current:
-            # One that wanders can stand for one that is steady, which is a cause with a name.
-            named = [bench.likeliest(one).cost for one in _in_currents(bench, model)] if steady else []
-            if min(named, default=np.inf) < amid[best].cost:
-                continue
+        one = left.pop(best)
+        # What wanders can stand for what is steady, which is a cause with a name: a drift for a current, too.
+        named = _steadily(bench, model) if steady and one in STEADY else []
+        if min((bench.likeliest(one).cost for one in named), default=np.inf) < amid[best].cost:
+            continue
         model = amid[best]
     return model
 
@@ -93,7 +103,7 @@ def price(bench: Workbench, model: Model) -> float:
     return 0.5 * count_of(model.beside.force) * float(np.log(bench.samples))
 
 
-def widened(bench: Workbench, model: Model, with_one: Callable[..., Disturbance | None]) -> Model:
+def widened(bench: Workbench, model: Model, with_one: Wider) -> Model:
     """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
     beside = model.beside
     assert beside is not None
@@ -108,10 +118,10 @@ def widened(bench: Workbench, model: Model, with_one: Callable[..., Disturbance 
     return bench.likeliest(dataclasses.replace(model, beside=amid))
 
 
-def _in_currents(bench: Workbench, model: Model) -> list[Model]:
-    """The model with each steady motion of the water that it does not have."""
-    water = [i for i in bench.open(model) if issubclass(bench.layout.suspects[i].effect, WaterEffect)]
-    return [bench.with_member(model, Member(i), np.zeros(bench.layout.columns[i].shape[1])) for i in water]
+def _steadily(bench: Workbench, model: Model) -> list[Model]:
+    """The model with each suspect that it does not have and that is steady where a disturbance wanders."""
+    some = [i for i in steady_of(bench.layout) if i in bench.open(model)]
+    return [bench.with_member(model, Member(i), np.zeros(bench.layout.columns[i].shape[1])) for i in some]
 
 
 def hurried(model: Model) -> Model:
@@ -128,11 +138,7 @@ def hurried(model: Model) -> Model:
 def calmed(model: Model) -> Model:
     """The model beside its disturbance without the swell that it has."""
     assert model.beside is not None
-    force, learned = model.beside.force, model.beside.covariance
-    own = np.arange(len(force.axes))
-    parts = np.append(own, [len(force.size) - 1] if force.flows else []).astype(int)
-    some = {name: getattr(force, name)[parts] for name in ("size", "time", "frequency")}
-    calm = dataclasses.replace(force, **some)
-    kept = np.append(np.arange(2 * len(own)), np.arange(len(learned) - 2 * force.flows, len(learned)))
-    beside = dataclasses.replace(model.beside, force=calm, covariance=learned[np.ix_(kept, kept)])
-    return dataclasses.replace(model, beside=beside)
+    calm, learned = without_swell(model.beside.force, model.beside.covariance)
+    return dataclasses.replace(
+        model, beside=dataclasses.replace(model.beside, force=calm, covariance=learned)
+    )

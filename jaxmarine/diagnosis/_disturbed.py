@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from .._compiled import compiled
 from .._types import DOFS
 from ..disturbances import RandomWrench
-from ..fitting import FLOW, Disturbance
+from ..fitting import PLANE, Disturbance
 from ..vehicle import Input, Plant, State, Vehicle
 from ._explanation import Model
 from ._result import MissingWrench
@@ -32,6 +32,10 @@ def known(force: Disturbance) -> RandomWrench:
         period, memory = 2 * np.pi / float(force.frequency[count]), float(force.time[count])
         swell = on_all(force.size[count : 2 * count])
         out = dataclasses.replace(out, swell=swell, period=period, swell_memory=memory)
+    if force.drifts:
+        drift = len(force.size) - force.flows - 1
+        size, memory = float(force.size[drift]), float(force.time[drift])
+        out = dataclasses.replace(out, drift=size, drift_memory=memory)
     if force.flows:
         out = dataclasses.replace(out, current=float(force.size[-1]), current_memory=float(force.time[-1]))
     return out
@@ -51,7 +55,7 @@ def without_current(
     if model.beside is None or not model.beside.force.flows:
         return missing
     parts = bench.fine.parts
-    level = np.asarray(model.beside.path.push)[: bench.fine.count, -FLOW:]
+    level = np.asarray(model.beside.path.push)[: bench.fine.count, -PLANE:]
     level = np.repeat(level, places.t.shape[1] // parts, axis=0)
     water = np.pad(level, ((0, 0), (0, 1)))
     turns = Rotation.from_matrix(places.rotation.reshape(-1, 3, 3)).as_quat(scalar_first=True)
@@ -76,7 +80,7 @@ def _dragged(plant: Plant, attitude, velocity, water) -> Float[Array, "times 6"]
 
 
 def in_words(force: RandomWrench) -> str:
-    """Sizes and memories of a disturbance, axis by axis, its swell and its current, in a sentence."""
+    """Sizes and memories of a disturbance, axis by axis, its swell, drift and current, in a sentence."""
     units = ["N" if axis < 3 else "N m" for axis in range(6)]
     pushes = ", ".join(
         f"{size:.2g} {unit} in {name} with a memory of {memory:.2g} s"
@@ -88,6 +92,11 @@ def in_words(force: RandomWrench) -> str:
         each = zip(DOFS, units, force.swell, strict=True)
         swell = ", ".join(f"{size:.2g} {unit} in {name}" for name, unit, size in each if size > 0)
         said += f"; and a swell of {force.period:.2g} s: {swell}"
+    if force.drift_memory is not None:
+        said += (
+            f"; and a force that keeps its direction as the craft turns, {force.drift:.2g} N to the north "
+            f"and to the east with a memory of {force.drift_memory:.2g} s"
+        )
     if force.current_memory is not None:
         said += (
             f"; and a current that wanders by {force.current:.2g} m/s to the north and to the east with a "

@@ -188,7 +188,7 @@ class Workbench:
         self._screened: tuple[Model, Any, Reduced] | None = None
         self._sampled: tuple[Model, Model] | None = None
         # Programs that are compiled, by kinds of models.
-        self._known = set[tuple[str, tuple[bool, bool] | None]]()
+        self._known = set[tuple[str, tuple[bool, ...] | None]]()
         if isinstance(data, Outline):
             # No program for windows is compiled here.
             self.room = Room(0, 0, 0)

@@ -30,18 +30,30 @@ from scipy import optimize
 from .._compiled import compiled
 from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
-from ._disturbance import SWELL_MEMORY, USUAL_MEMORY, Disturbance, Logarithms, flowing
+from ._disturbance import (
+    SWELL_MEMORY,
+    USUAL_MEMORY,
+    Disturbance,
+    Logarithms,
+    drifting,
+    flowing,
+    level_on,
+)
 from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
 from ._rows import Rows
-from ._windows import FLOW, Trail
+from ._windows import PLANE, Trail
 
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
 # Periods of a swell from which its own is looked for [s], and what it leaves of a wrench's size meanwhile.
 PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
+# How much longer than the wrench that it stands for a drift may last.
+LONGER = (1.0, 3.0, 10.0)
+# From a disturbance to a wider one, None where that is no likelier (`with_swell`).
+Wider = Callable[..., Disturbance | None]
 # Sizes of a current from which its own is looked for [m/s].
 CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
@@ -74,7 +86,7 @@ class Path(eqx.Module):
     @classmethod
     def measured(cls, count: int, axes: tuple[int, ...]) -> "Path":
         """So many windows as measured, where nothing disturbs."""
-        return cls(jnp.zeros((count, 12)), jnp.zeros((count, len(axes) + FLOW)))
+        return cls(jnp.zeros((count, 12)), jnp.zeros((count, len(axes) + PLANE)))
 
 
 class Line(eqx.Module):
@@ -82,6 +94,7 @@ class Line(eqx.Module):
 
     - `driven`: the 13 numbers of a state, and behind them what pushes.
     - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
+    - `level`: what a force to the north and one to the east are on the axes that are pushed.
     - `begin`: derivative of the first state by the twelve changes of the initial state.
     """
 
@@ -89,6 +102,7 @@ class Line(eqx.Module):
     h: Float[Array, "steps rows driven"]
     residual: Float[Array, "steps rows columns"]
     dt: Float[Array, " steps"]
+    level: Float[Array, "steps axes plane"]
     begin: Float[Array, "13 12"]
 
     @property
@@ -127,20 +141,18 @@ class Message(eqx.Module):
     end: Float[Array, "13 columns"]
 
     def widened(self, force: Disturbance, wider: Disturbance) -> "Message":
-        """With a swell or a current too, that `force` does not have, of which nothing is known yet."""
-        count = len(force.axes)
-        states, swell = 13 + wider.states, 13 + count + np.arange(2 * count)
-        flow = states - FLOW + np.arange(FLOW)
-        new = [*(swell if wider.swells > force.swells else []), *(flow if wider.flows > force.flows else [])]
-        kept = np.setdiff1d(np.arange(states), new)
-        mean = jnp.zeros((states, self.mean.shape[1])).at[kept].set(self.mean)
-        unknown = jnp.diag(jnp.zeros(states).at[13:].set(wider.level**2))
+        """With what a wider disturbance has and `force` has not, of which nothing is known yet."""
+        kept = 13 + wider.those_of(force)
+        mean = jnp.zeros((13 + wider.states, self.mean.shape[1]))
+        mean = mean.at[:13].set(self.mean[:13]).at[kept].set(self.mean[13:])
+        unknown = jax.scipy.linalg.block_diag(jnp.zeros((13, 13)), wider.spread)
+        kept = np.concatenate([np.arange(13), kept])
         return Message(mean, unknown.at[np.ix_(kept, kept)].set(self.covariance), self.end)
 
 
 def _throughout(by: Float[Array, "*rows given"], force: Disturbance) -> Float[Array, "*rows pushes"]:
     """Derivatives by what pushes throughout, from those by a wrench's knots on six axes, and by the water."""
-    by_knots, by_water = by[..., :-FLOW], by[..., -FLOW:]
+    by_knots, by_water = by[..., :-PLANE], by[..., -PLANE:]
     by_wrench = by_knots.reshape(*by.shape[:-1], -1, 6).sum(-2)[..., np.array(force.axes)]
     return jnp.concatenate([by_wrench, by_water], axis=-1)
 
@@ -156,6 +168,7 @@ def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbanc
         h=jnp.concatenate([rows.h_x, _throughout(rows.h_z[..., z:], force)], axis=-1),
         residual=jnp.concatenate([rows.jacobian[..., 12 : 12 + z], residual[..., None]], axis=-1),
         dt=rows.dt,
+        level=level_on(force.axes, rows.states[:, 3:7]),
         begin=rows.begin,
     )
 
@@ -175,7 +188,10 @@ def _through(
     line: Line, residual: Float[Array, "steps rows columns"], force: Disturbance, begin: Begun
 ) -> tuple[Begun, Float[Array, "steps rows columns"]]:
     """Where a window ends, and its whitened residuals, each given all before it; `residual`: as of `line`."""
-    by_states = jax.scipy.linalg.block_diag(jnp.eye(13), force.output)
+    pushes = jax.vmap(force.output)(line.level)
+
+    def by_states(by: Float[Array, "steps rows driven"]) -> Float[Array, "steps rows joint"]:
+        return jnp.concatenate([by[..., :13], by[..., 13:] @ pushes], axis=-1)
 
     @jax.checkpoint
     def step(carry: Begun, now):
@@ -199,11 +215,11 @@ def _through(
         half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
         covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
         both = over.covariance @ by.T
-        new = [[by @ over.variance @ by.T, both.T], [both, jnp.diag(force.new(dt))]]
+        new = [[by @ over.variance @ by.T, both.T], [both, force.new(dt)]]
         covariance = covariance + jnp.block(new)
         return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
 
-    return jax.lax.scan(step, begin, (line.f @ by_states, line.h @ by_states, residual, line.dt))
+    return jax.lax.scan(step, begin, (by_states(line.f), by_states(line.h), residual, line.dt))
 
 
 def filtered(line: Line, force: Disturbance) -> Passed:
@@ -271,8 +287,8 @@ class Innovations(eqx.Module):
 
 def pushed(problem: Problem, force: Disturbance, path: Path) -> Problem:
     """The problem with the wrench and the moving water that are expected along the path."""
-    wrench = jnp.zeros((len(path.push), 6)).at[:, np.array(force.axes)].set(path.push[:, :-FLOW])
-    windows = dataclasses.replace(problem.windows, wrench=wrench, water=path.push[:, -FLOW:])
+    wrench = jnp.zeros((len(path.push), 6)).at[:, np.array(force.axes)].set(path.push[:, :-PLANE])
+    windows = dataclasses.replace(problem.windows, wrench=wrench, water=path.push[:, -PLANE:])
     return dataclasses.replace(problem, windows=windows)
 
 
@@ -359,9 +375,9 @@ class Windowed(eqx.Module):
         carried = carried.at[:12, :13].set(jnp.where(self.joined, self.line.back, 0.0))
         carried = carried.at[12:, 13:].set(force.after(self.gap, jnp.eye(force.states)))
         free = jnp.zeros((12, message.end.shape[1])).at[:, -1].set(self.delta)
-        new = jnp.where(self.joined, 0.0, spread**2), force.new(self.gap)
+        new = jnp.diag(jnp.where(self.joined, 0.0, spread**2)), force.new(self.gap)
         mean = (carried @ message.mean).at[:12].add(jnp.where(self.joined, self.ahead(message), free))
-        return mean, carried @ message.covariance @ carried.T + jnp.diag(jnp.concatenate(new))
+        return mean, carried @ message.covariance @ carried.T + jax.scipy.linalg.block_diag(*new)
 
     def after(
         self, message: Message, passed: Passed, force: Disturbance, spread: Float[Array, "12"]
@@ -399,7 +415,7 @@ def _lines(
     given = affine.acts.shape[-1]
 
     def of_rows(rows, index):
-        free = Free(rows.jacobian[..., 12 + given : -FLOW], rows.end_by[:, 12 + given : -FLOW])
+        free = Free(rows.jacobian[..., 12 + given : -PLANE], rows.end_by[:, 12 + given : -PLANE])
         return Windowed.of(rows, given, path, force, index), free
 
     def each(carry, now):
@@ -425,9 +441,8 @@ def lines(
     The program that everything else here goes on from: to compile it takes several times as long as all of
     that, and it is the same for all disturbances.
     """
-    n = len(force.axes)
-    nothing = jnp.zeros(n)
-    still = dataclasses.replace(force, size=nothing, time=jnp.ones(n), frequency=nothing, flows=False)
+    nothing = jnp.zeros(len(force.axes))
+    still = Disturbance(nothing, nothing + 1.0, nothing, force.gap, force.joined, force.axes)
     return _lines(
         problem, affine, still, path, knots, Trail.nothing(problem.trail) if trail is None else trail
     )
@@ -469,7 +484,8 @@ def _joined_up(begin, every: Windowed, force: Disturbance, group: Int[Array, " w
         total, message = carry
         window, passed, group = now
         half, follows = 0.5 * window.line.dt.sum(), window.gap < 0.5 * window.line.dt[0]
-        expected = -force.output @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
+        pushes = force.output(window.line.level[len(window.line.level) // 2])
+        expected = -pushes @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
         # As the one before lets one expect it, if this window follows it at once.
         known = window.line.back @ message.mean[:13, -1]
         delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
@@ -714,6 +730,24 @@ def with_swell(
     return _likeliest(spread, every, swells, unit, worth)
 
 
+def with_drift(
+    spread: Float[Array, "12"],
+    every: Windowed,
+    force: Disturbance,
+    unit: Float[np.ndarray, " axes"],
+    worth: float,
+) -> Disturbance | None:
+    """The disturbance with a drift in the place of what it has ahead and abeam, where that is likelier.
+
+    - `worth`: `improbability` of the disturbance as it is.
+    """
+    plane = np.flatnonzero(np.array(force.axes) < PLANE)
+    size, time = jnp.sqrt((force.size[plane] ** 2).mean()), jnp.exp(jnp.log(force.time[plane]).mean())
+    small = dataclasses.replace(force, size=force.size.at[plane].multiply(LEFT))
+    others = [drifting(small, size, time * longer) for longer in LONGER]
+    return _likeliest(spread, every, others, unit, worth)
+
+
 def with_current(
     spread: Float[Array, "12"],
     every: Windowed,
@@ -742,6 +776,14 @@ def _likeliest(
     of_others = improbability(spread, every, others, unit)
     best = int(np.argmin(np.nan_to_num(of_others, nan=np.inf)))
     return others[best] if of_others[best] < worth else None
+
+
+def wider_by(force: Disturbance) -> list[Wider]:
+    """By what a disturbance can be wider that it does not have."""
+    plane = len({*range(PLANE)} & {*force.axes})
+    able = True, plane == PLANE, plane > 0
+    each = zip((with_swell, with_drift, with_current), able, force.kind, strict=True)
+    return [one for one, can, has in each if can and not has]
 
 
 class Likelihood(eqx.Module):

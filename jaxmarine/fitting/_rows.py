@@ -43,7 +43,7 @@ from ._rollout import (
     wrapped,
 )
 from ._thrust_slopes import ThrustSlopes
-from ._windows import FLOW, Before, Trail, Windows
+from ._windows import PLANE, Before, Trail, Windows
 
 
 class Rows(eqx.Module):
@@ -297,7 +297,7 @@ class Sweep(eqx.Module):
     @property
     def asked(self) -> int:
         """Of how many numbers derivatives are: z, the free wrench and the water."""
-        return self.given + 6 * self.knots + (0 if self.problem.windows.water is None else FLOW)
+        return self.given + 6 * self.knots + (0 if self.problem.windows.water is None else PLANE)
 
     def rolled(self, windows: Windows, delta: Float[Array, "windows 12"], begun: Array) -> _Rolled:
         """Some windows all at once: of a stiff vehicle this is one short step after another, in which few
@@ -414,7 +414,7 @@ class Sweep(eqx.Module):
         if self.knots:
             nu_z = jnp.concatenate([nu_z, self._by_wrench(inverse)], axis=-1)
         if by_water is not None:
-            nu_z = jnp.concatenate([nu_z, -inverse @ by_water[..., :FLOW]], axis=-1)
+            nu_z = jnp.concatenate([nu_z, -inverse @ by_water[..., :PLANE]], axis=-1)
         return _Slopes(nu_dot, -inverse @ by_x, nu_z)
 
     def _by_thrusters(self, by_thrust: Array, now: _Rolled) -> Array:
@@ -460,7 +460,7 @@ class Sweep(eqx.Module):
         by_z = by_nu_dot @ seen.by_z
         by_z = by_z.at[:, :, : self.given].add(_contract(by_constants, self.chain_slopes.shown, segment))
         if by_water is not None:
-            by_z = by_z.at[:, :, -FLOW:].add(by_water[..., :FLOW])
+            by_z = by_z.at[:, :, -PLANE:].add(by_water[..., :PLANE])
         return value, by_x + by_nu_dot @ seen.by_x, by_z
 
     def _earlier(self, windows: Windows, track: Track, value: Array, jacobian: Array) -> tuple[Array, Array]:

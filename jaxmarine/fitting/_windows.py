@@ -18,8 +18,8 @@ from ..vehicle import Vehicle
 # Times from sample to sample after which a log has a gap: more than five samples are missing.
 GAP = 5.5
 SHORTEST = 4  # samples of a window
-# Numbers of the water's velocity that is expected in a window: to the north, and to the east.
-FLOW = 2
+# Numbers of what lies in the plane, to the north and to the east: the water's velocity, and a force.
+PLANE = 2
 PITCH, TURNS = CHANNELS.index("theta"), np.array([CHANNELS.index(name) for name in ("phi", "psi")])
 
 

@@ -31,8 +31,8 @@ from ..diagnosis import (
 )
 from ..effects import AbstractEffect, SensorDelay
 from ..fitting import (
-    FLOW,
     PITCH,
+    PLANE,
     TURNS,
     USUAL_MEMORY,
     USUAL_SIZE,
@@ -48,6 +48,7 @@ from ..fitting import (
     Windows,
     at_rest,
     filtered,
+    level_on,
     lines,
     noise_of,
     nothing_known,
@@ -317,17 +318,18 @@ class Bench:
         turn = quaternions_of(track.attitude[first - around : first - around + 1])[0]
         theta, nu = jnp.asarray(self.layout.neutral + z), jnp.asarray(track.nu[first - around])
         velocity = np.array(_unlogged(self.saturated, theta, jnp.asarray(turn), nu))
-        return Begun(track.position[first - around], turn, velocity, np.zeros(len(self.axes) + FLOW))
+        return Begun(track.position[first - around], turn, velocity, np.zeros(len(self.axes) + PLANE))
 
     @property
     def empty(self) -> Windowed:
         """A block in which nothing was measured."""
-        rows, columns, pushes = len(self.channels), self.layout.size + 1, len(self.axes) + FLOW
+        rows, columns, pushes = len(self.channels), self.layout.size + 1, len(self.axes) + PLANE
         line = Line(
             f=jnp.zeros((self.steps, 13, 13 + pushes)),
             h=jnp.zeros((self.steps, rows, 13 + pushes)),
             residual=jnp.zeros((self.steps, rows, columns)),
             dt=jnp.full(self.steps, self.dt),
+            level=jnp.zeros((self.steps, len(self.axes), PLANE)),
             begin=jnp.eye(13, 12),
         )
         nothing = jnp.zeros(()), jnp.zeros((), bool)
@@ -360,7 +362,7 @@ class Begun(NamedTuple):
 
     @property
     def wrench(self) -> Float[np.ndarray, " axes"]:
-        return self.push[:-FLOW]
+        return self.push[:-PLANE]
 
     @property
     def state(self) -> Float[np.ndarray, "13"]:
@@ -456,7 +458,9 @@ def _unlogged(saturated: SaturatedPlant, theta: Array, attitude: Array, logged: 
 def _expected(message: Message, force: Disturbance, after: Array, z: Array) -> tuple[Array, Array]:
     at = jnp.append(z, 1.0)
     mean, end = message.mean @ at, message.end @ at
-    return end - mean[:13], (force.output @ force.after(after, mean[13:, None]))[:, 0]
+    state = end - mean[:13]
+    pushes = force.output(level_on(force.axes, state[3:7]))
+    return state, (pushes @ force.after(after, mean[13:, None]))[:, 0]
 
 
 @compiled

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
-from ..fitting import unusual
+from ..fitting import unusual, with_current, with_drift
 from ..vehicle import Placed
 from ._evidence import Member, Sum
 from ._ledger import Account, Ledger
@@ -38,7 +38,8 @@ LEADS = 3.0
 # Rivals with a disturbance of their own each before one is named; of those that are `HOPEFUL`.
 RIVALS = 3
 DAY = 86400.0
-WANDERING, UNSUSPECTED = "a current that wanders", "a cause that is not suspected"
+WANDERING = {with_drift: "a force that wanders", with_current: "a current that wanders"}
+UNSUSPECTED = "a cause that is not suspected"
 
 
 class Judge:
@@ -235,7 +236,7 @@ class Judge:
         close = [one.label for one in compared[1:] if one.compared > best.compared - least]
         for one in weighed:
             if self.label(one.member.suspect) == best.label and not self._steady(one.member, one.account):
-                close.append(WANDERING)
+                close += [WANDERING[wider] for wider in ledger.wandering_as(one.member.suspect)]
         if close:
             return self._cannot_tell((best.label, *close), best.nats, best.since)
         return self._name(best)
@@ -287,19 +288,19 @@ class Judge:
         return best, since[b].t
 
     def _steady(self, member: Member, own: Account) -> bool:
-        """Whether a member that is a steady current is as sure beside one that wanders; true of all others.
+        """Whether a member that is steady is as sure beside what wanders as it does not; true of all others.
 
         Some memories long the two are alike. By the rows at hand, with the file's coefficients as they are
-        beside the steady one: older rows, judged beside neither, have bent them for want of a current.
+        beside the steady one: older rows, judged beside neither, have bent them for want of either.
 
         - `own`: the account of the member.
         """
         ledger, model = self.ledger, (*self.members, member)
-        if not ledger.is_current(member.suspect):
+        if not ledger.wandering_as(member.suspect):
             return True
+        other = ledger.wandering(own, self.members, member.suspect)
         known = ledger.suspicions.estimate(ledger.since(own), model)
         width = ledger.suspicions.columns[member.suspect].shape[1]
-        other = ledger.wandering(own, self.members)
         prior = 0.5 * (unusual(own.force, ledger.bench.unit) - unusual(other.force, ledger.bench.unit))
         # These coefficients need not suit what was estimated beside others.
         some = known[: len(known) - width], ledger.suspicions.estimate(ledger.since(other), self.members)

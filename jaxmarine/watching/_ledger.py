@@ -17,18 +17,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..diagnosis import Criteria, of_a_craft
-from ..effects import WaterEffect
+from ..diagnosis import STEADY, Criteria, of_a_craft, steady_of
 from ..fitting import (
+    PLANE,
+    USUAL_SIZE,
     Disturbance,
     Message,
+    Wider,
     Windowed,
     count_of,
+    drifting,
     estimated,
     flowing,
     nothing_known,
+    wider_by,
     with_current,
-    with_swell,
+    with_drift,
 )
 from ._blocks import LONG, Begun, Bench, Place, expected, passed, replayed
 from ._evidence import Acting, Member, Sum, Suspicions, place
@@ -43,7 +47,6 @@ KEPT = 24
 UNLEARNED = 0.25
 # A disturbance, the covariance of its logarithms, and -2 log p (`fitting.estimated`).
 Estimated = tuple[Disturbance, Float[np.ndarray, "_ _"], float]
-Wider = Callable[..., Disturbance | None]
 # Columns of z, and since when they act [s].
 Gate = tuple[tuple[int, ...], float]
 Says = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -345,21 +348,18 @@ class Ledger:
     def estimate(self, account: Account, members: Sequence[Member]) -> None:
         """Estimates the disturbance of the blocks that are held beside a model, and filters them anew.
 
-        With a swell and a current beside it once the blocks are likelier so, by the odds of a name, their
-        numbers paid for (Schwarz); with a current unless a steady one is likelier still, by as much. What is
-        steady must then explain what one that wanders does not. Both stay.
+        With a swell, a drift and a current beside it once the blocks are likelier so, by the odds of a name,
+        their numbers paid for (Schwarz); with what wanders unless a steady one is likelier still, by as much.
+        What is steady must then explain what one that wanders does not. All stay.
         """
         every, found = self._suit(account, members)
-        left = [] if account.force.swells else [with_swell]
-        if not account.force.flows and {0, 1} & set(self.bench.axes):
-            left.append(with_current)
-        amid = {one: self._amid(one, every, found) for one in left}
+        amid = {one: self._amid(one, every, found) for one in wider_by(account.force)}
         while amid:
             one = max(amid, key=lambda one: amid[one][0])
             gained, wider = amid.pop(one)
             if gained < Criteria().nats:
                 break
-            if one is with_current and gained < self._best_steady(account, members) - Criteria().nats:
+            if one in STEADY and gained < self._best_steady(account, members) - Criteria().nats:
                 continue
             account.before = account.before.widened(account.force, wider[0])
             self._take(account, wider)
@@ -368,7 +368,7 @@ class Ledger:
             amid = {other: self._amid(other, every, found) for other in amid}
 
     def _suit(self, account: Account, members: Sequence[Member]) -> tuple[Windowed, Estimated]:
-        """`estimate` with the swell and the current it has; the blocks beside the model, and the estimate."""
+        """`estimate` of the kind that it is; the blocks beside the model, and the estimate."""
         bench = self.bench
         gates = self._gates(account, members)
         if gates != account.gates:
@@ -404,7 +404,7 @@ class Ledger:
         self._replay(account)
 
     def _amid(self, with_one: Wider, every: Windowed, found: Estimated) -> tuple[float, Estimated]:
-        """What was estimated with a swell or a current beside it, and what it gains so [nats]."""
+        """What was estimated of a wider disturbance, and what it gains so [nats]."""
         bench, (force, _, worth) = self.bench, found
         wider = with_one(bench.spread, every, force, bench.unit, worth)
         if wider is None or not np.isfinite(worth):
@@ -413,10 +413,10 @@ class Ledger:
         return 0.5 * (worth - amid[2]) - (self.price(wider) - self.price(force)), amid
 
     def _best_steady(self, account: Account, members: Sequence[Member]) -> float:
-        """Nats of a steady current beside some members, with the disturbance that suits the blocks then."""
+        """Nats of what is steady where a disturbance wanders, beside some members and what suits both."""
         before, best = self.likelihood(account, self.since(account), members), -np.inf
         taken = {one.suspect for one in members}
-        for i in filter(self.is_current, range(len(self.bench.layout.suspects))):
+        for i in steady_of(self.bench.layout):
             if i not in taken:
                 own = account.branched()
                 self._suit(own, (*members, Member(i, -np.inf)))
@@ -425,19 +425,25 @@ class Ledger:
                 best = max(best, self.likelihood(own, since, members) - before + float(nats))
         return best
 
-    def is_current(self, suspect: int) -> bool:
-        """Whether a suspect is water that moves."""
-        return issubclass(self.bench.layout.suspects[suspect].effect, WaterEffect)
+    def wandering_as(self, suspect: int) -> list[Wider]:
+        """What does the same as a suspect that is steady, but wanders; nothing of all others."""
+        return [one for one in STEADY if suspect in steady_of(self.bench.layout, [one])]
 
-    def wandering(self, account: Account, members: Sequence[Member]) -> Account:
-        """Beside some members and a current that wanders; from an account beside one that is steady."""
+    def wandering(self, account: Account, members: Sequence[Member], suspect: int) -> Account:
+        """Beside some members and what wanders as a suspect does not; from an account beside that suspect."""
         out = account.branched()
-        if not account.force.flows:
-            out.force = flowing(account.force)
+        for wider in set(self.wandering_as(suspect)).intersection(wider_by(account.force)):
+            out.force = self._usually[wider](account.force)
             out.learned = UNLEARNED * np.eye(count_of(out.force))
             out.before = account.before.widened(account.force, out.force)
         self.estimate(out, members)
         return out
+
+    @property
+    def _usually(self) -> dict[Wider, Callable[[Disturbance], Disturbance]]:
+        """What wanders as steady causes do not, of a usual size."""
+        push = USUAL_SIZE.median * float(self.bench.unit[np.array(self.bench.axes) < PLANE].max())
+        return {with_drift: lambda force: drifting(force, push), with_current: flowing}
 
     def _gates(self, account: Account, members: Sequence[Member]) -> tuple[Gate, ...]:
         """Columns of members that began among the blocks that are held, or did so when these were held."""

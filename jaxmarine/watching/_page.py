@@ -12,7 +12,7 @@ from .._extras import of_extra
 from .._local import HTTPStatus, LocalHandler, address_of, opened
 from .._numbers import unit_on
 from .._types import DOFS
-from ..fitting import FLOW
+from ..fitting import PLANE
 from ..physics import to_euler
 from ._status import Status, moment_of, sentence_of
 from ._watch import Watch
@@ -100,10 +100,13 @@ def disturbance_of(status: Status) -> list[dict]:
         out += [
             row(f"{name}, {swell}", unit, None, force.swell[i], force.swell_memory) for name, unit, i in axes
         ]
+    if force.drift_memory is not None:
+        some = ("north", "east")
+        out += [row(f"push, {where}", "N", None, force.drift, force.drift_memory) for where in some]
     if force.current_memory is not None:
         out += [
             row(f"water, {where}", "m/s", now, force.current, force.current_memory)
-            for where, now in zip(("north", "east"), state.push[-FLOW:].tolist(), strict=True)
+            for where, now in zip(("north", "east"), state.push[-PLANE:].tolist(), strict=True)
         ]
     return out
 

@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from ._watch import Watch
 Place = list[int] | None
 
 # Of what is written: another one when it changes.
-FORMAT = 8
+FORMAT = 9
 # What is plain numbers.
 _COURSE = ("gap", "within", "next", "split")
 _LEDGER = ("t", "blocks", "held", "let_go")
@@ -140,9 +140,7 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         "course": [_plain(getattr(course, name)) for name in _COURSE],
         "ledger": [_plain(getattr(ledger, name)) for name in _LEDGER],
         "judge": [_plain(getattr(judge, name)) for name in _JUDGE],
-        "accounts": [
-            [account.minus_twice, account.gates, account.force.flows] for account in ledger.accounts
-        ],
+        "accounts": [[account.minus_twice, account.gates, account.force.kind] for account in ledger.accounts],
         "about": [_or_none(since) for since, _ in ledger.about.parts],
         "set_back": [k for k, (_, set_back) in enumerate(passage.recent) if set_back],
         "members": [[m.suspect, _or_none(m.since)] for m in judge.members],
@@ -226,10 +224,10 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
 
 
 def _account(
-    blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates, flows: bool
+    blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates, kind: Sequence[bool]
 ) -> Account:
     """The account with the number i; `blank`: one of the same form, that is filled."""
-    blank.force = dataclasses.replace(blank.force, flows=flows)
+    blank.force = dataclasses.replace(blank.force, drifts=kind[1], flows=kind[2])
     for what in ("before", "message", "force"):
         leaves, form = jax.tree.flatten(getattr(blank, what))
         filled = [jnp.asarray(arrays[f"{what}{i}_{j}"]) for j in range(len(leaves))]
