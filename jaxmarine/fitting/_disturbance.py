@@ -288,7 +288,7 @@ class Logarithms:
 
     def new(self, force: Disturbance) -> Float[np.ndarray, " logarithms"]:
         """Of each size, how many numbers are new at a time that are as large as it; 0 of all others."""
-        return self._of_kinds(force, [1.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0], [2.0, 0.0])
+        return self._of_kinds(force, [1.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0], [2.0, 0.0])
 
     def _units(self, force: Disturbance, unit: Array | np.ndarray) -> Array:
         """Of each part's size: the full thrust of its axis, or of the stronger one; of a current 1 m/s."""
