@@ -38,9 +38,13 @@ class RandomWrench:
     current: float = 0.0
     current_memory: float | None = None
 
-    def draw(
-        self, t: Float[np.ndarray, " times"], seed: int | np.random.SeedSequence
-    ) -> Float[np.ndarray, "times 6"]:
+    def __post_init__(self):
+        memories = {"period": "swell_memory", "drift": "drift_memory", "current": "current_memory"}
+        for one, memory in memories.items():
+            if getattr(self, one) and not getattr(self, memory):
+                raise ValueError(f"A RandomWrench with `{one}` needs `{memory}` [s], which is not given.")
+
+    def draw(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 6"]:
         """One course of it over the times of a log [s], as `simulate` takes it for `push`.
 
         Exact at the samples, however far apart they are. The first value is a draw too: it has been blowing.
@@ -84,7 +88,7 @@ class RandomWrench:
         return _level(self.drift, self.drift_memory, t, np.random.SeedSequence([seed, 2]))
 
     def to_json(self) -> dict:
-        """What `diagnosis.json` holds of it: of each axis on which it acts, of swell and current, if any."""
+        """What `diagnosis.json` holds of it: of each axis on which it acts, of swell, drift and current."""
         axes = {}
         for i, dof in enumerate(DOFS):
             one: dict[str, float | str] = {"unit": "N" if i < 3 else "N m"}

@@ -59,6 +59,12 @@ def test_a_swell_has_the_spectrum_of_its_filter():
     np.testing.assert_allclose(found, expected, rtol=0.21)
 
 
+@pytest.mark.parametrize("what", ["period", "drift", "current"])
+def test_what_has_no_memory_is_refused(what):
+    with pytest.raises(ValueError, match=f"`{what}` needs `.*memory`"):
+        dataclasses.replace(GUSTS, **{what: 3.0})
+
+
 def test_a_seed_gives_the_same_again_and_another_another():
     t = np.arange(100) * 0.1
     np.testing.assert_array_equal(GUSTS.draw(t, 3), GUSTS.draw(t, 3))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxmarine.diagnosis._disturbed import in_words, known
-from jaxmarine.fitting import Disturbance, answers
+from jaxmarine.fitting import Disturbance, answers, drifting, flowing
 from jaxmarine.logs import Log
 from tests.boats import boat, record, steps
 
@@ -82,3 +82,7 @@ def test_what_disturbs_is_said_in_words():
     said = in_words(known(force))
     assert "3 N in sway with a memory of 4 s, 0.5 N m in yaw with a memory of 11 s" in said
     assert said.endswith("a swell of 6.3 s: 1.2 N in sway, 0.04 N m in yaw.")
+    both = known(flowing(drifting(force, 2.0, 13.0), 0.2))
+    assert both.to_json()["drift"] == {"size_N": 2.0, "memory_s": 13.0}
+    assert "keeps its direction as the craft turns, 2 N to the north and to the east" in in_words(both)
+    assert "a memory of 13 s; and a current that wanders by 0.2 m/s" in in_words(both)

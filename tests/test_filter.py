@@ -77,7 +77,7 @@ def windows_of(
         h=normal(STEPS, ROWS, 13 + AXES + PLANE, scale=0.5),
         residual=normal(STEPS, ROWS, COLUMNS),
         dt=jnp.asarray(rng.uniform(0.1, 0.4, (count, STEPS))),
-        level=normal(STEPS, AXES, PLANE, scale=0.6),
+        by_plane=normal(STEPS, AXES, PLANE, scale=0.6),
         begin=normal(13, 12),
     )
     return jax.vmap(Windowed)(
@@ -194,7 +194,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
         wrench[:, at : at + len(states)] += new(stays)
         at += len(states)
         for k in range(STEPS):
-            h, f, by = window.line.h[k], window.line.f[k], output(window.line.level[k])
+            h, f, by = window.line.h[k], window.line.f[k], output(window.line.by_plane[k])
             rows.append(h @ np.concatenate([state, by @ wrench]))
             seen.append(window.line.residual[k] - h[:, :13] @ known)
             goes_on, spread = van_loan(force, float(window.line.dt[k]))
@@ -236,7 +236,7 @@ def test_a_force_in_earth_axes_is_turned_into_those_of_the_craft():
     """By another library's rotations; a force at the origin has no moment."""
     turns = Rotation.from_euler("ZYX", [[2.0, 0.3, -0.4], [-0.7, 0.0, 0.0]])
     axes = 0, 1, 2, 5
-    found = _filter.level_on(axes, jnp.asarray(turns.as_quat(scalar_first=True)))
+    found = _filter.by_plane(axes, jnp.asarray(turns.as_quat(scalar_first=True)))
     for k, force in enumerate([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]):
         np.testing.assert_allclose(found[:, :3, k], turns.apply(force, inverse=True), atol=1e-12)
     assert (np.asarray(found)[:, 3] == 0).all()
@@ -249,7 +249,7 @@ def test_a_disturbance_that_forgets_nothing_is_constant_over_a_hold():
     assert np.abs(over.variance).max() < 1e-12
 
 
-@pytest.mark.parametrize("kind", [PLAIN, ALL])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("joined", "gap"),
     [
@@ -793,7 +793,7 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
         message, now = message.widened(now, wider), wider
     assert now.kind == ALL
     heading = jnp.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])
-    level = _filter.level_on(axes, heading)
+    level = _filter.by_plane(axes, heading)
 
     def pushed(force, message):
         by = np.asarray(block_diag(np.eye(13), force.output(level)))

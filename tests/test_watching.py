@@ -32,6 +32,7 @@ from jaxmarine.effects import (
     ThrusterGain,
     ThrusterLag,
     Waves,
+    WindPush,
     place,
 )
 from jaxmarine.fitting import (
@@ -41,9 +42,10 @@ from jaxmarine.fitting import (
     Records,
     Trail,
     Windows,
+    by_plane,
     count_of,
+    drifting,
     flowing,
-    level_on,
 )
 from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
@@ -721,7 +723,7 @@ def test_a_swell_that_keeps_in_step_starts_as_the_wave_that_pushes_so(unchecked)
     found = [dict(zip(slots, z + layout.neutral_of(0), strict=True)) for z in some]
     assert [60.0 / one["period"] - 60.0 / period for one in found] == pytest.approx(SLIPS)
     wave = Waves(*(jnp.asarray(found[0][name]) for name in ("north", "east", "period", "phase")))
-    by = force.output(level_on(force.axes, jnp.asarray(begun.attitude)))
+    by = force.output(by_plane(force.axes, jnp.asarray(begun.attitude)))
     for after in (0.0, 1.3, 4.0):
         push = -(by @ force.after(jnp.asarray(after), jnp.asarray(states)[:, None]))[:3, 0]
         here: Any = SimpleNamespace(t=ends + after, rotation=jnp.asarray(heading.as_matrix()))
@@ -805,14 +807,16 @@ def test_nothing_is_named_of_a_boat_that_is_only_pushed_by_gusts_and_swell(tmp_p
     )  # fmt: skip
     assert len(rows) == 2 * len(status.axes) and rows["yaw"]["now"] == status.state.wrench[2]
     kept_and_restored(watch, tmp_path / "swell")
-    # And in a current, too.
+    # And in a drift and a current, too.
     account = watch.parts.passage.ledger.accounts[0]
-    wider = flowing(account.force)
+    wider = flowing(drifting(account.force, 3.0))
     for what in ("before", "message"):
         setattr(account, what, getattr(account, what).widened(account.force, wider))
     account.force, account.learned = wider, np.eye(count_of(wider))
     again = kept_and_restored(watch, tmp_path / "both")
-    assert {one["axis"] for one in disturbance_of(again.status)} == {*rows, "water, north", "water, east"}
+    assert {one["axis"] for one in disturbance_of(again.status)} == {
+        *rows, "drift, north", "drift, east", "water, north", "water, east",
+    }  # fmt: skip
 
 
 def kept_and_restored(watch: Watch, path: Path) -> Watch:
@@ -886,6 +890,25 @@ def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
         for part, true in (("north", 0.1), ("east", -0.05)):
             value, std, _ = watch.named[0].parameters[part]
             assert abs(value - true) < 4 * std
+
+
+@pytest.mark.slow
+def test_a_force_that_may_wander_is_not_named_as_a_steady_wind():
+    """While the boat turns; told again in five memories, in which the steady one is."""
+    t, zero = np.arange(600) * DT, np.zeros(6)
+    drawn = RandomWrench(zero, np.ones(6), drift=4.0, drift_memory=12.0).draw_drift(t, 1)
+    steady = np.tile([5.0, -3.0, 0.0], (len(t), 1))
+    for force, named in ((drawn, ()), (steady, ("wind_push",))):
+        watch = Watch(boat(), catalogue=(*SMALL, WindPush))
+        log, _ = sailed(steps(len(t)), 0, drift=force)
+        told = [one for row in rows_of(log) for one in watch.update(row)]
+        assert tuple(one.label for one in watch.named) == named, told
+        if named:
+            for part, true in (("north", 5.0), ("east", -3.0)):
+                value, std, _ = watch.named[0].parameters[part]
+                assert abs(value - true) < 4 * std
+        else:
+            assert watch.status.disturbance.drift == pytest.approx(4.0, rel=0.6)
 
 
 @pytest.mark.slow

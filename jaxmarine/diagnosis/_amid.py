@@ -81,18 +81,19 @@ def amid_more(bench: Workbench, model: Model, steady: bool = True) -> Model:
     left = wider_by(model.beside.force)
     if not steady:
         left = [one for one in left if one in STEADY]
+    named = None
     while left:
         amid = [widened(bench, model, one) for one in left]
         priced = [one.cost + price(bench, one) for one in amid]
         best = int(np.argmin(np.nan_to_num(priced, nan=np.inf)))
         if not priced[best] < model.cost + price(bench, model) - bench.criteria.nats:
             break
-        one = left.pop(best)
-        # What wanders can stand for what is steady, which is a cause with a name: a drift for a current, too.
-        named = _steadily(bench, model) if steady and one in STEADY else []
-        if min((bench.likeliest(one).cost for one in named), default=np.inf) < amid[best].cost:
-            continue
-        model = amid[best]
+        if left.pop(best) in STEADY and steady:
+            # What wanders can stand for what is steady, which has a name: a drift for a current, too.
+            named = _steadily(bench, model) if named is None else named
+            if named < amid[best].cost:
+                continue
+        model, named = amid[best], None
     return model
 
 
@@ -118,18 +119,20 @@ def widened(bench: Workbench, model: Model, with_one: Wider) -> Model:
     return bench.likeliest(dataclasses.replace(model, beside=amid))
 
 
-def _steadily(bench: Workbench, model: Model) -> list[Model]:
-    """The model with each suspect that it does not have and that is steady where a disturbance wanders."""
-    some = [i for i in steady_of(bench.layout) if i in bench.open(model)]
-    return [bench.with_member(model, Member(i), np.zeros(bench.layout.columns[i].shape[1])) for i in some]
+def _steadily(bench: Workbench, model: Model) -> float:
+    """Least cost with one suspect more that is steady where a disturbance wanders; infinite without such."""
+    columns, some = bench.layout.columns, [i for i in steady_of(bench.layout) if i in bench.open(model)]
+    each = (bench.with_member(model, Member(i), np.zeros(columns[i].shape[1])) for i in some)
+    return min((bench.likeliest(one).cost for one in each), default=np.inf)
 
 
 def hurried(model: Model) -> Model:
-    """The model beside a disturbance that forgets no slower than is usual, and changes as it did."""
+    """The model beside forces that forget no slower than is usual, and change as they did."""
     assert model.beside is not None
     force = model.beside.force
     slow = (force.frequency == 0) & (force.time > USUAL_MEMORY.median)
-    slow = slow.at[len(force.axes) :].set(False)
+    if force.flows:
+        slow = slow.at[-1].set(False)
     time = jnp.where(slow, USUAL_MEMORY.median, force.time)
     quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
     return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))

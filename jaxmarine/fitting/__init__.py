@@ -27,10 +27,10 @@ from ._check import (
 from ._disturbance import USUAL_MEMORY as USUAL_MEMORY
 from ._disturbance import USUAL_SIZE as USUAL_SIZE
 from ._disturbance import Disturbance as Disturbance
+from ._disturbance import by_plane as by_plane
 from ._disturbance import count_of as count_of
 from ._disturbance import drifting as drifting
 from ._disturbance import flowing as flowing
-from ._disturbance import level_on as level_on
 from ._disturbance import unlearned as unlearned
 from ._disturbance import unusual as unusual
 from ._disturbance import without_swell as without_swell

@@ -106,29 +106,25 @@ class Disturbance(eqx.Module):
     def states(self) -> int:
         return len(self.axes) * (3 if self.swells else 1) + PLANE * (self.drifts + self.flows)
 
-    def those_of(self, part: "Disturbance") -> Int[np.ndarray, " states"]:
-        """Of its states those that one has which is a part of it."""
-        kinds = zip((True, *part.kind), (True, *self.kind), strict=True)
+    def shared_with(self, narrower: "Disturbance") -> Int[np.ndarray, " states"]:
+        """Indices of those of its states that one has as well which lacks some of its kinds."""
+        kinds = zip((True, *narrower.kind), (True, *self.kind), strict=True)
         lengths = len(self.axes), 2 * len(self.axes), PLANE, PLANE
         kept = [np.full(length * own, has) for (has, own), length in zip(kinds, lengths, strict=True)]
         return np.flatnonzero(np.concatenate(kept))
 
-    def output(self, level: Float[Array, "axes plane"]) -> Float[Array, "pushes states"]:
+    def output(self, plane: Float[Array, "axes plane"]) -> Float[Array, "pushes states"]:
         """From its states to the wrench on its axes, and to the water's velocity.
 
-        - `level`: as of `level_on`.
+        - `plane`: as of `by_plane`.
         """
         wrench = [jnp.eye(len(self.axes))]
         if self.swells:
             wrench.append(jnp.kron(wrench[0], jnp.array([[1.0, 0.0]])))
         if self.drifts:
-            wrench.append(level)
+            wrench.append(plane)
         flow = jnp.eye(PLANE) if self.flows else jnp.zeros((PLANE, 0))
         return jax.scipy.linalg.block_diag(jnp.concatenate(wrench, axis=1), flow)
-
-    def _of_states(self, of_parts: Float[Array, " parts"]) -> Float[Array, " states"]:
-        count = len(self.axes)
-        return jnp.concatenate([of_parts[:count], jnp.repeat(of_parts[count:], 2)])
 
     @property
     def spread(self) -> Float[Array, "states states"]:
@@ -137,7 +133,7 @@ class Disturbance(eqx.Module):
 
     @property
     def _swell(self) -> Float[Array, "2 2 pairs"]:
-        """That of the swell's pairs, which follows from their `_kick`."""
+        """Covariance of the swell's pairs, which follows from their `_kick`."""
         turns = 1.0 / (self.frequency[self._pairs] * self.time[self._pairs])
         whole, lead = self.size[self._pairs] ** 2, 1.0 + 2.0 * turns**2
         both = jnp.stack([whole, whole * turns, whole * turns, whole * lead])
@@ -145,18 +141,12 @@ class Disturbance(eqx.Module):
 
     def after(self, dt: Float[Array, ""], states: Float[Array, "states columns"]):
         """What is left of its states [states, columns] after some time [s]."""
-        left = jnp.exp(-dt / self._of_states(self.time))[:, None] * states
-        if not self.swells:
-            return left
-        count = len(self.axes)
-        angle = (self.frequency[count : 2 * count] * dt)[:, None]
-        here, there = left[count : 3 * count : 2], left[count + 1 : 3 * count : 2]
-        turned = (
-            jnp.cos(angle) * here - jnp.sin(angle) * there,
-            jnp.sin(angle) * here + jnp.cos(angle) * there,
-        )
-        pairs = jnp.stack(turned, axis=1).reshape(2 * count, -1)
-        return jnp.concatenate([left[:count], pairs, left[3 * count :]])
+        n, stays = len(self.axes), jnp.exp(-self._rate * dt)
+        own, pairs, last = jnp.split(states, [n, n + 2 * len(stays[self._pairs])])
+        pairs = jnp.einsum("ija,ajc->aic", self._turns(stays), pairs.reshape(-1, 2, states.shape[1]))
+        in_plane = jnp.repeat(stays.real[len(stays) - self.drifts - self.flows :], PLANE)
+        left = stays.real[:n, None] * own, pairs.reshape(-1, states.shape[1]), in_plane[:, None] * last
+        return jnp.concatenate(left)
 
     def new(self, dt: Float[Array, ""]) -> Float[Array, "states states"]:
         """Covariance of what is new in its states after some time [s]."""
@@ -293,9 +283,11 @@ class Logarithms:
     def _units(self, force: Disturbance, unit: Array | np.ndarray) -> Array:
         """Of each part's size: the full thrust of its axis, or of the stronger one; of a current 1 m/s."""
         wrenches = jnp.tile(jnp.asarray(unit), 2 if force.swells else 1)
-        plane = [unit[i] for i, axis in enumerate(force.axes) if axis < PLANE]
-        drift = [jnp.max(jnp.stack(plane))[None]] if force.drifts else []
-        return jnp.concatenate([wrenches, *drift, *([jnp.ones(1)] * force.flows)])
+        out = [wrenches]
+        if force.drifts:
+            plane = [unit[i] for i, axis in enumerate(force.axes) if axis < PLANE]
+            out.append(jnp.max(jnp.stack(plane))[None])
+        return jnp.concatenate([*out, *([jnp.ones(1)] * force.flows)])
 
     def unusual(self, force: Disturbance, unit: Array) -> Float[Array, ""]:
         """Minus twice the logarithm of the prior's density."""
@@ -339,7 +331,7 @@ def unusual(force: Disturbance, unit: Float[np.ndarray, " axes"]) -> float:
     return float(Logarithms(len(force.axes)).unusual(force, jnp.asarray(unit)))
 
 
-def level_on(
+def by_plane(
     axes: tuple[int, ...], attitude: Float[Array, "*samples 4"]
 ) -> Float[Array, "*samples axes plane"]:
     """What a force to the north and one to the east are on some of the six axes of a craft."""
@@ -365,16 +357,13 @@ def drifting(
 ) -> Disturbance:
     """The disturbance with a drift of some size [N] and memory [s] beside it."""
     at = len(force.size) - force.flows
-
-    def beside(parts: Array, one: float | Array) -> Array:
-        return jnp.insert(parts, at, one)
-
-    some = {
-        "size": beside(force.size, size),
-        "time": beside(force.time, time),
-        "frequency": beside(force.frequency, 0.0),
-    }
-    return dataclasses.replace(force, **some, drifts=True)
+    return dataclasses.replace(
+        force,
+        size=jnp.insert(force.size, at, size),
+        time=jnp.insert(force.time, at, time),
+        frequency=jnp.insert(force.frequency, at, 0.0),
+        drifts=True,
+    )
 
 
 def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:

@@ -35,9 +35,9 @@ from ._disturbance import (
     USUAL_MEMORY,
     Disturbance,
     Logarithms,
+    by_plane,
     drifting,
     flowing,
-    level_on,
 )
 from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
@@ -94,7 +94,8 @@ class Line(eqx.Module):
 
     - `driven`: the 13 numbers of a state, and behind them what pushes.
     - `residual`: of what is measured, and its derivatives by what else is asked for, last that itself.
-    - `level`: what a force to the north and one to the east are on the axes that are pushed.
+    - `by_plane`: what a force to the north and one to the east are on the axes that are pushed, where a hold
+      begins: by how far the craft turns within one, and off its path, is left out.
     - `begin`: derivative of the first state by the twelve changes of the initial state.
     """
 
@@ -102,7 +103,7 @@ class Line(eqx.Module):
     h: Float[Array, "steps rows driven"]
     residual: Float[Array, "steps rows columns"]
     dt: Float[Array, " steps"]
-    level: Float[Array, "steps axes plane"]
+    by_plane: Float[Array, "steps axes plane"]
     begin: Float[Array, "13 12"]
 
     @property
@@ -142,7 +143,7 @@ class Message(eqx.Module):
 
     def widened(self, force: Disturbance, wider: Disturbance) -> "Message":
         """With what a wider disturbance has and `force` has not, of which nothing is known yet."""
-        kept = 13 + wider.those_of(force)
+        kept = 13 + wider.shared_with(force)
         mean = jnp.zeros((13 + wider.states, self.mean.shape[1]))
         mean = mean.at[:13].set(self.mean[:13]).at[kept].set(self.mean[13:])
         unknown = jax.scipy.linalg.block_diag(jnp.zeros((13, 13)), wider.spread)
@@ -168,7 +169,7 @@ def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbanc
         h=jnp.concatenate([rows.h_x, _throughout(rows.h_z[..., z:], force)], axis=-1),
         residual=jnp.concatenate([rows.jacobian[..., 12 : 12 + z], residual[..., None]], axis=-1),
         dt=rows.dt,
-        level=level_on(force.axes, rows.states[:, 3:7]),
+        by_plane=by_plane(force.axes, rows.states[:, 3:7]),
         begin=rows.begin,
     )
 
@@ -188,7 +189,7 @@ def _through(
     line: Line, residual: Float[Array, "steps rows columns"], force: Disturbance, begin: Begun
 ) -> tuple[Begun, Float[Array, "steps rows columns"]]:
     """Where a window ends, and its whitened residuals, each given all before it; `residual`: as of `line`."""
-    pushes = jax.vmap(force.output)(line.level)
+    pushes = jax.vmap(force.output)(line.by_plane)
 
     def by_states(by: Float[Array, "steps rows driven"]) -> Float[Array, "steps rows joint"]:
         return jnp.concatenate([by[..., :13], by[..., 13:] @ pushes], axis=-1)
@@ -484,7 +485,7 @@ def _joined_up(begin, every: Windowed, force: Disturbance, group: Int[Array, " w
         total, message = carry
         window, passed, group = now
         half, follows = 0.5 * window.line.dt.sum(), window.gap < 0.5 * window.line.dt[0]
-        pushes = force.output(window.line.level[len(window.line.level) // 2])
+        pushes = force.output(window.line.by_plane[len(window.line.by_plane) // 2])
         expected = -pushes @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
         # As the one before lets one expect it, if this window follows it at once.
         known = window.line.back @ message.mean[:13, -1]
@@ -718,14 +719,14 @@ def with_swell(
     - `worth`: `improbability` of the disturbance as it is.
     """
     n = len(force.axes)
-    own, flow = slice(0, n), slice(n, None)
+    own, rest = slice(0, n), slice(n, None)
     time = [jnp.maximum(force.time[own], USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
     both = {
         "size": jnp.concatenate([force.size[own] * LEFT, force.size]),
-        "time": jnp.concatenate([*time, force.time[flow]]),
+        "time": jnp.concatenate([*time, force.time[rest]]),
     }
     swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
-    frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[flow]]) for one in swinging]
+    frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[rest]]) for one in swinging]
     swells = [dataclasses.replace(force, **both, frequency=one) for one in frequencies]
     return _likeliest(spread, every, swells, unit, worth)
 
@@ -759,7 +760,8 @@ def with_current(
 
     - `worth`: `improbability` of the disturbance as it is.
     """
-    small = dataclasses.replace(force, size=force.size.at[: len(force.axes)].multiply(LEFT))
+    steers = force.frequency == 0
+    small = dataclasses.replace(force, size=jnp.where(steers, LEFT, 1.0) * force.size)
     # A current may be all that disturbs, or come beside what does.
     others = [flowing(one, size) for one in (small, force) for size in CURRENTS]
     return _likeliest(spread, every, others, unit, worth)

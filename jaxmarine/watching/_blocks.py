@@ -47,8 +47,8 @@ from ..fitting import (
     Windowed,
     Windows,
     at_rest,
+    by_plane,
     filtered,
-    level_on,
     lines,
     noise_of,
     nothing_known,
@@ -329,7 +329,7 @@ class Bench:
             h=jnp.zeros((self.steps, rows, 13 + pushes)),
             residual=jnp.zeros((self.steps, rows, columns)),
             dt=jnp.full(self.steps, self.dt),
-            level=jnp.zeros((self.steps, len(self.axes), PLANE)),
+            by_plane=jnp.zeros((self.steps, len(self.axes), PLANE)),
             begin=jnp.eye(13, 12),
         )
         nothing = jnp.zeros(()), jnp.zeros((), bool)
@@ -459,7 +459,7 @@ def _expected(message: Message, force: Disturbance, after: Array, z: Array) -> t
     at = jnp.append(z, 1.0)
     mean, end = message.mean @ at, message.end @ at
     state = end - mean[:13]
-    pushes = force.output(level_on(force.axes, state[3:7]))
+    pushes = force.output(by_plane(force.axes, state[3:7]))
     return state, (pushes @ force.after(after, mean[13:, None]))[:, 0]
 
 

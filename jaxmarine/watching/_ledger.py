@@ -353,19 +353,21 @@ class Ledger:
         What is steady must then explain what one that wanders does not. All stay.
         """
         every, found = self._suit(account, members)
-        amid = {one: self._amid(one, every, found) for one in wider_by(account.force)}
+        amid, steady = {one: self._amid(one, every, found) for one in wider_by(account.force)}, None
         while amid:
             one = max(amid, key=lambda one: amid[one][0])
             gained, wider = amid.pop(one)
             if gained < Criteria().nats:
                 break
-            if one in STEADY and gained < self._best_steady(account, members) - Criteria().nats:
-                continue
+            if one in STEADY:
+                steady = self._best_steady(account, members) if steady is None else steady
+                if gained < steady - Criteria().nats:
+                    continue
             account.before = account.before.widened(account.force, wider[0])
             self._take(account, wider)
             # Beside the wider one the model has other numbers.
             every, found = self._suit(account, members)
-            amid = {other: self._amid(other, every, found) for other in amid}
+            amid, steady = {other: self._amid(other, every, found) for other in amid}, None
 
     def _suit(self, account: Account, members: Sequence[Member]) -> tuple[Windowed, Estimated]:
         """`estimate` of the kind that it is; the blocks beside the model, and the estimate."""
@@ -430,9 +432,13 @@ class Ledger:
         return [one for one in STEADY if suspect in steady_of(self.bench.layout, [one])]
 
     def wandering(self, account: Account, members: Sequence[Member], suspect: int) -> Account:
-        """Beside some members and what wanders as a suspect does not; from an account beside that suspect."""
+        """Beside some members and what wanders as a suspect does not; from an account beside that suspect.
+
+        And beside what else suits the rows (`estimate`).
+        """
         out = account.branched()
-        for wider in set(self.wandering_as(suspect)).intersection(wider_by(account.force)):
+        (wider,) = self.wandering_as(suspect)
+        if wider in wider_by(account.force):
             out.force = self._usually[wider](account.force)
             out.learned = UNLEARNED * np.eye(count_of(out.force))
             out.before = account.before.widened(account.force, out.force)

@@ -82,7 +82,10 @@ def told_of(watch: Watch, status: Status, history: History, source: str) -> dict
 
 
 def disturbance_of(status: Status) -> list[dict]:
-    """What disturbs the craft: now, its size and memory, on each axis; sizes of a swell; the water."""
+    """What disturbs the craft: now, its size and memory, on each axis; sizes of a swell; a drift; the water.
+
+    Now is all that pushes on an axis.
+    """
     state, force = status.state, status.disturbance
     if state is None:
         return []
@@ -102,7 +105,7 @@ def disturbance_of(status: Status) -> list[dict]:
         ]
     if force.drift_memory is not None:
         some = ("north", "east")
-        out += [row(f"push, {where}", "N", None, force.drift, force.drift_memory) for where in some]
+        out += [row(f"drift, {where}", "N", None, force.drift, force.drift_memory) for where in some]
     if force.current_memory is not None:
         out += [
             row(f"water, {where}", "m/s", now, force.current, force.current_memory)

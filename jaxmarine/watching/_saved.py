@@ -9,7 +9,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,10 @@ def write_state(watch: Watch, path: Path, place: Place) -> None:
         "course": [_plain(getattr(course, name)) for name in _COURSE],
         "ledger": [_plain(getattr(ledger, name)) for name in _LEDGER],
         "judge": [_plain(getattr(judge, name)) for name in _JUDGE],
-        "accounts": [[account.minus_twice, account.gates, account.force.kind] for account in ledger.accounts],
+        "accounts": [
+            [account.minus_twice, account.gates, account.force.drifts, account.force.flows]
+            for account in ledger.accounts
+        ],
         "about": [_or_none(since) for since, _ in ledger.about.parts],
         "set_back": [k for k, (_, set_back) in enumerate(passage.recent) if set_back],
         "members": [[m.suspect, _or_none(m.since)] for m in judge.members],
@@ -224,10 +227,16 @@ def restore(watch: Watch, path: Path) -> tuple[Place, int]:
 
 
 def _account(
-    blank: Account, arrays: dict[str, np.ndarray], i: int, minus_twice: float, gates, kind: Sequence[bool]
+    blank: Account,
+    arrays: dict[str, np.ndarray],
+    i: int,
+    minus_twice: float,
+    gates,
+    drifts: bool,
+    flows: bool,
 ) -> Account:
     """The account with the number i; `blank`: one of the same form, that is filled."""
-    blank.force = dataclasses.replace(blank.force, drifts=kind[1], flows=kind[2])
+    blank.force = dataclasses.replace(blank.force, drifts=drifts, flows=flows)
     for what in ("before", "message", "force"):
         leaves, form = jax.tree.flatten(getattr(blank, what))
         filled = [jnp.asarray(arrays[f"{what}{i}_{j}"]) for j in range(len(leaves))]
