@@ -21,6 +21,8 @@ from ._workbench import EXACT, ROUGH, Workbench
 
 # Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
 MOST_CLOSE, OTHERS = 2, 4
+# By what share evidence may be too large: it is compared in nats, and hundreds of them are as sure as can be.
+SHOWN = 0.01
 # Standard errors by the scatter of some tens of windows are so much larger than true ones at times.
 BY_CHANCE = 1.4
 
@@ -146,9 +148,11 @@ def findings_of(
             name: Parameter(value, float(s), suspect.effect.units[name])
             for (name, value), s in zip(values.items(), std[where], strict=True)
         }
-        # As exact as the model beside a disturbance: what is left to gain would count as evidence.
-        rtol = ROUGH if model.beside is None else EXACT
-        without = bench.likeliest(bench.without_member(model, i), STEPS, rtol)
+        without = bench.likeliest(bench.without_member(model, i), STEPS, ROUGH)
+        left = ROUGH * max(bench.samples, 2 * without.cost)
+        if model.beside is not None and left > SHOWN * (without.cost - model.cost):
+            # What is left to gain would count as evidence.
+            without = bench.likeliest(without, STEPS, EXACT)
         without = bench.climbed(without, STEPS, ROUGH)
         if suspect.effect.swings:
             without = _swelling(bench, without)
