@@ -78,22 +78,24 @@ def amid_more(bench: Workbench, model: Model, steady: bool = True) -> Model:
     """
     if model.beside is None:
         return model
-    left = wider_by(model.beside.force)
-    if not steady:
-        left = [one for one in left if one in STEADY]
-    named = None
-    while left:
-        amid = [widened(bench, model, one) for one in left]
-        priced = [one.cost + price(bench, one) for one in amid]
-        best = int(np.argmin(np.nan_to_num(priced, nan=np.inf)))
-        if not priced[best] < model.cost + price(bench, model) - bench.criteria.nats:
+    left = [one for one in wider_by(model.beside.force) if steady or one in STEADY]
+    amid, named = {one: widened(bench, model, one) for one in left}, None
+
+    def priced(one: Wider) -> float:
+        return float(np.nan_to_num(amid[one].cost + price(bench, amid[one]), nan=np.inf))
+
+    while amid:
+        best = min(amid, key=priced)
+        if not priced(best) < model.cost + price(bench, model) - bench.criteria.nats:
             break
-        if left.pop(best) in STEADY and steady:
+        wider = amid.pop(best)
+        if best in STEADY and steady:
             # What wanders can stand for what is steady, which has a name: a drift for a current, too.
             named = _steadily(bench, model) if named is None else named
-            if named < amid[best].cost:
+            if named < wider.cost:
                 continue
-        model, named = amid[best], None
+        model, named = wider, None
+        amid = {one: widened(bench, model, one) for one in amid}
     return model
 
 
