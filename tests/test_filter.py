@@ -666,17 +666,21 @@ def test_what_is_whitened_is_white_noise_of_size_one(disturbed):
     assert found is not None and found.on is None and found.channel in ("u", "v", "r", "x", "y", "psi")
 
 
-def in_water(water: np.ndarray) -> Log:
-    """A log of the boat by random wrenches, in water that moves so."""
-    given = np.zeros((len(water), 6))
-    given[:, [0, 1, 5]] = steps(len(water), seed=2, hold=40) * [40.0, 20.0, 8.0]
-    t = 0.1 * np.arange(len(water))
+def seen(pushes: np.ndarray, **acting: np.ndarray) -> Log:
+    """A log of the boat under pushes ahead, abeam and round [N, N, N m], and what acts on it besides."""
+    t, given = 0.1 * np.arange(len(pushes)), np.zeros((len(pushes), 6))
+    given[:, [0, 1, 5]] = pushes
     blank = Log(t, np.full((len(t), 18), np.nan), None, given, (), "log.csv")
-    shown = np.asarray(simulate(boat(), blank, initial_state(boat()), water=water).channels)
+    shown = np.asarray(simulate(boat(), blank, initial_state(boat()), **acting).channels)
     noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
     return dataclasses.replace(
         blank, channels=shown + noise * np.random.default_rng(8).normal(size=shown.shape)
     )
+
+
+def in_water(water: np.ndarray) -> Log:
+    """A log of the boat in water that moves so [m/s]."""
+    return seen(steps(len(water), seed=2, hold=40) * [40.0, 20.0, 8.0], water=water)
 
 
 SIZE, LASTS = 0.15, 20.0  # m/s, s
@@ -689,15 +693,7 @@ def wandering() -> np.ndarray:
 
 def drifted(force: np.ndarray) -> Log:
     """A log of the boat, which turns all the while, under a force to the north and to the east [N]."""
-    t = 0.1 * np.arange(len(force))
-    given = np.zeros((len(t), 6))
-    given[:, [0, 1, 5]] = steps(len(t), seed=2, hold=40) * [40.0, 20.0, 4.0] + [0.0, 0.0, 6.0]
-    blank = Log(t, np.full((len(t), 18), np.nan), None, given, (), "log.csv")
-    shown = np.asarray(simulate(boat(), blank, initial_state(boat()), drift=force).channels)
-    noise = np.repeat([NOISE.get(kind, np.nan) for kind in SENSORS], 3)
-    return dataclasses.replace(
-        blank, channels=shown + noise * np.random.default_rng(8).normal(size=shown.shape)
-    )
+    return seen(steps(len(force), seed=2, hold=40) * [40.0, 20.0, 4.0] + [0.0, 0.0, 6.0], drift=force)
 
 
 @pytest.mark.slow
