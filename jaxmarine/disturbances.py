@@ -3,21 +3,26 @@
 import dataclasses
 
 import numpy as np
+import scipy.linalg
 from jaxtyping import Float
 
 from ._types import DOFS
+
+# Memories of a swell after which nothing is left of it that counts.
+LONG = 40.0
 
 
 @dataclasses.dataclass(frozen=True)
 class RandomWrench:
     """A Gauss-Markov wrench on the hull in body axes, a swell, a drift in earth axes, and a current.
 
-    Each axis has its own; what acts on two axes at once is not described. A swell is white noise through
+    Each axis has its own; what acts on two axes at once is not described. A swell is white noise twice
+    through
 
         s / (s^2 + 2 s / swell_memory + 1 / swell_memory^2 + (2 pi / period)^2),
 
-    so that no part of it lasts. Source: after Fossen (2021), on filters for slowly varying forces, in body
-    and in earth axes, and for waves.
+    so that no part of it lasts and hardly anything is far from its period. Source: after Fossen (2021), on
+    filters for slowly varying forces, in body and in earth axes, and for waves.
 
     - `size` [6]: standard deviation [N, N m], 0 where nothing acts; `memory` [6]: time [s] in which it
       forgets all but 1/e, read where something acts.
@@ -58,26 +63,28 @@ class RandomWrench:
     def _swelling(
         self, gap: Float[np.ndarray, " times"], rng: np.random.Generator
     ) -> Float[np.ndarray, "times 6"]:
-        """The swell at times that are so far apart [s]: the first of two numbers that turn, on each axis.
+        """The swell at times that are so far apart [s]: white noise twice through the filter of this class.
 
-        As `fitting.Disturbance` has them: what is new in both is one number, in such a direction that the
-        first is white noise through the filter of this class.
+        Of two filters in a row, each of two numbers of which the first comes out. In double precision, which
+        `fitting.Swell`, the same in closed form, has only where JAX does.
         """
         assert self.period is not None and self.swell_memory is not None
-        frequency = 2 * np.pi / self.period
-        slow = 1.0 / (frequency * self.swell_memory)
-        whole = np.array([[1.0, slow], [slow, 1.0 + 2.0 * slow**2]])
-        angle = frequency * np.where(np.isfinite(gap), gap, 0.0)
-        turns = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        stays = np.moveaxis(np.exp(-gap / self.swell_memory) * turns, 2, 0)
+        frequency, slow = 2 * np.pi / self.period, 1.0 / self.swell_memory
+        pair = np.array([[-slow, -frequency], [frequency, -slow]])
+        into = np.array([1.0, slow / frequency])
+        rates = np.block([[pair, np.zeros((2, 2))], [np.outer(into, [1.0, 0.0]), pair]])
+        noise = np.pad(np.outer(into, into), (0, 2))
+        whole = np.asarray(scipy.linalg.solve_continuous_lyapunov(rates, -noise))
+        # What was before the first of the times is forgotten: some memories are as good as all.
+        stays = scipy.linalg.expm(np.minimum(gap, LONG * self.swell_memory)[:, None, None] * rates)
         value, way = np.linalg.eigh(whole - stays @ whole @ np.swapaxes(stays, 1, 2))
-        # Rounding makes the lesser one of a short time less than nothing.
+        # Rounding makes the least one of a short time less than nothing.
         root = way * np.sqrt(np.maximum(value, 0.0))[:, None]
-        now, out = np.zeros((2, 6)), np.empty((len(gap), 6))
-        for k, new in enumerate(root @ rng.normal(size=(len(gap), 2, 6))):
+        now, out = np.zeros((4, 6)), np.empty((len(gap), 6))
+        for k, new in enumerate(root @ rng.normal(size=(len(gap), 4, 6))):
             now = stays[k] @ now + new
-            out[k] = now[0]
-        return self.swell * out
+            out[k] = now[2]
+        return self.swell * out / np.sqrt(whole[2, 2])
 
     def draw_current(self, t: Float[np.ndarray, " times"], seed: int) -> Float[np.ndarray, "times 3"]:
         """One course of the water's velocity, as `simulate` takes it for `water`."""

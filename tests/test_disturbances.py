@@ -33,27 +33,33 @@ def test_gusts_have_their_size_and_memory_on_any_times():
 
 
 def test_a_swell_comes_back_after_its_period():
-    """On any times, as white noise through a filter whose impulse response is cos - sin / (w T), damped."""
+    """On any times, as its spectrum says: its correlation is the transform of that (Wiener, Khinchin)."""
     t = np.arange(0.0, 20000.0, 0.5)
-    drawn, slow = SWELL.draw(t, 1)[:, 1], 5.0 / (2 * np.pi * 20.0)
+    drawn = SWELL.draw(t, 1)[:, 1]
+    at = np.linspace(0.0, 50.0, 200001)  # rad/s
+    power = spectrum_of(SWELL, at)
     for lag in (5, 10, 20):  # half a period, one and two
         now = (drawn[lag:] * drawn[:-lag]).mean() / 4.0
-        angle = 2 * np.pi * 0.5 * lag / 5.0
-        expected = np.exp(-0.5 * lag / 20.0) * (np.cos(angle) - slow * np.sin(angle))
+        expected = np.trapezoid(power * np.cos(at * 0.5 * lag), at) / np.trapezoid(power, at)
         # Over some 500 stretches of twice its memory.
         assert now == pytest.approx(expected, abs=4 * np.sqrt(1 / 500))
 
 
-def test_a_swell_has_the_spectrum_of_its_filter():
+def spectrum_of(swell: jm.RandomWrench, at: np.ndarray) -> np.ndarray:
+    """Of white noise twice through the filter, but for a factor; at frequencies [rad/s]."""
+    slow, frequency = 1 / swell.swell_memory, 2 * np.pi / swell.period
+    _, response = scipy.signal.freqs([1.0, 0.0], [1.0, 2 * slow, slow**2 + frequency**2], at)
+    return np.abs(response) ** 4
+
+
+def test_a_swell_has_the_spectrum_of_its_filters():
     """Over frequencies from far below its own, where nothing of it is, to far above, by Welch's method."""
     swell = dataclasses.replace(SWELL, swell_memory=8.0)
-    dt, at = 0.1, np.array([0.02, 0.1, 0.2, 0.3, 0.6])  # s, Hz
+    dt, at = 0.1, np.array([0.02, 0.1, 0.15, 0.2, 0.25, 0.3, 0.6])  # s, Hz
     frequency, power = scipy.signal.welch(swell.draw(dt * np.arange(400000), 1)[:, 1], 1 / dt, nperseg=4000)
-    _, response = scipy.signal.freqs(
-        [1.0, 0.0], [1.0, 2 / 8.0, 1 / 8.0**2 + (2 * np.pi / 5) ** 2], 2 * np.pi * at
-    )
-    # White noise on both sides of 0, of such an intensity that the variance is 4 N^2; Welch's is on one side.
-    expected = 2 * (4 * 4.0 / 8.0) * np.abs(response) ** 2
+    every = np.linspace(0.0, 10.0, 200001)  # Hz
+    whole = np.trapezoid(spectrum_of(swell, 2 * np.pi * every), every)
+    expected = 4.0 / whole * spectrum_of(swell, 2 * np.pi * at)
     # Of 200 stretches: a standard error of 7 %, three of them; less where several frequencies count.
     found = [power[np.abs(frequency - one) < 0.005].mean() for one in at]
     np.testing.assert_allclose(found, expected, rtol=0.21)

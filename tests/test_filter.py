@@ -31,6 +31,7 @@ from jaxmarine.fitting._disturbance import (
     unlearned,
 )
 from jaxmarine.fitting._filter import Line, Windowed
+from jaxmarine.fitting._processes import Swell
 from jaxmarine.logs import Log
 from jaxmarine.physics import LATE, late
 from jaxmarine.simulation import initial_state, simulate
@@ -103,7 +104,7 @@ def joined_up(every: Windowed, force: Disturbance):
 
 
 def left(force: Disturbance, dt: float) -> np.ndarray:
-    """From the disturbance's states to those some time later: decay, and turns of the swell's pairs.
+    """From the disturbance's states to those some time later.
 
     What is to the north and to the east is no pair: it decays alike, and does not turn.
     """
@@ -116,15 +117,21 @@ def rates_of(force: Disturbance) -> np.ndarray:
     for time, frequency in zip(
         np.asarray(force.time)[AXES:], np.asarray(force.frequency)[AXES:], strict=True
     ):
-        blocks.append(np.array([[-1 / time, -frequency], [frequency, -1 / time]]))
+        if frequency:
+            # Two filters in a row, each s / ((s + 1 / T)^2 + w^2) but for a factor.
+            pair = np.array([[-1 / time, -frequency], [frequency, -1 / time]])
+            driven = np.sqrt(8.0) / time * np.outer([1.0, 1.0 / (frequency * time)], [1.0, 0.0])
+            blocks.append(np.block([[pair, np.zeros((2, 2))], [driven, pair]]))
+        else:
+            blocks.append(-np.eye(PLANE) / time)
     return block_diag(*blocks)
 
 
 def pushes_of(force: Disturbance) -> np.ndarray:
     """Intensity of the white noise that moves the disturbance's states.
 
-    One noise moves both numbers of a pair, in the direction in which the transfer function of the first has
-    no numerator but s.
+    One noise moves both numbers of a swell's first pair, in the direction in which the transfer function of
+    the first of them has no numerator but s.
     """
     size, time, frequency = (np.asarray(one) for one in (force.size, force.time, force.frequency))
     blocks = []
@@ -132,7 +139,7 @@ def pushes_of(force: Disturbance) -> np.ndarray:
         if frequency[k]:
             # (s + 1/T) b_1 - w b_2 is s b_1: b_2 = b_1 / (w T).
             way = np.array([1.0, 1.0 / (frequency[k] * time[k])])
-            blocks.append(size[k] ** 2 * 4.0 / time[k] * np.outer(way, way))
+            blocks.append(np.pad(size[k] ** 2 * 4.0 / time[k] * np.outer(way, way), (0, 2)))
         else:
             blocks.append(2.0 * size[k] ** 2 / time[k] * np.eye(1 if k < AXES else PLANE))
     return block_diag(*blocks)
@@ -161,7 +168,7 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
     """
     whole = solve_continuous_lyapunov(rates_of(force), -pushes_of(force))
     states = np.arange(len(whole))
-    pairs = [np.kron(np.eye(AXES), [[1, 0]])] if force.swells else []
+    pairs = [np.kron(np.eye(AXES), [[0, 0, 1, 0]])] if force.swells else []
     water = np.eye(PLANE) if force.flows else np.zeros((PLANE, 0))
 
     def output(level: np.ndarray) -> np.ndarray:
@@ -226,10 +233,24 @@ def test_a_disturbance_over_a_hold_is_its_integral(share, off):
     np.testing.assert_allclose(over.variance / level, spread[n:, n:] / level, **close)
     np.testing.assert_allclose(over.covariance / level, spread[:n, n:] / level, **close)
     # The states themselves are what they were.
-    np.testing.assert_allclose(force.after(jnp.asarray(dt), jnp.eye(n)), goes_on[:n], rtol=0, atol=1e-12)
+    after = force.after(jnp.asarray(dt), jnp.eye(n))
+    np.testing.assert_allclose(after, left(force, dt), rtol=0, atol=1e-12)
+    new = force.new(jnp.asarray(dt)) / level
+    own = (whole - left(force, dt) @ whole @ left(force, dt).T) / level
+    np.testing.assert_allclose(new, own, rtol=0, atol=1e-11)
     # Of many memories their exponential, which also grows, leaves fewer digits.
-    new = force.new(jnp.asarray(dt))
-    np.testing.assert_allclose(new / level, spread[:n, :n] / level, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(new, spread[:n, :n] / level, rtol=0, atol=max(1e-11, 0.01 * off))
+
+
+def test_a_quarter_of_a_turn_before_is_how_fast_a_swell_falls():
+    """By a difference of what comes out of its filters, in units of its frequency."""
+    swell, states = Swell(jnp.array(2.5), jnp.array(1.3)), np.array([0.7, -1.1, 0.4, 0.9])
+    force = windows_of([False], [1e6], (True, False, False))[1]
+    rates = rates_of(dataclasses.replace(force, time=jnp.full(4, 2.5)))[-4:, -4:]
+    before, after = ((expm(t * rates) @ states)[2] for t in (-1e-4, 1e-4))
+    found = swell.out(jnp.asarray(states))
+    assert found[0] == states[2]
+    assert found[1] == pytest.approx((before - after) / 2e-4 / 1.3, rel=1e-7)
 
 
 def test_a_force_in_earth_axes_is_turned_into_those_of_the_craft():
@@ -802,6 +823,6 @@ def test_what_is_known_stays_beside_a_wider_disturbance(axes, order):
     before = pushed(narrow, dataclasses.replace(first, mean=message.mean[:states]))
     np.testing.assert_allclose(mean, before[0])
     np.testing.assert_allclose(covariance, before[1] + new)
-    # The second of each pair is a little larger than the first: it turns by 1 rad/s for 10 s.
-    sizes = (2 + 2 / 10.0**2) * swell.sum() + PLANE * (3.0**2 + USUAL_FLOW.median**2)
+    # The second of each of two pairs is a little larger than the first: it turns by 1 rad/s for 10 s.
+    sizes = 2 * (2 + 2 / 10.0**2) * swell.sum() + PLANE * (3.0**2 + USUAL_FLOW.median**2)
     assert np.trace(message.covariance) == pytest.approx(np.trace(root @ root.T) + sizes)

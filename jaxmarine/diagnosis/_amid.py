@@ -13,6 +13,7 @@ from ..fitting import (
     Wider,
     count_of,
     improbability,
+    likeliest,
     start_spread,
     unlearned,
     wider_by,
@@ -114,7 +115,7 @@ def widened(bench: Workbench, model: Model, with_one: Wider) -> Model:
     spread = start_spread(problem.start_precision)
     unit = bench.fine.unit
     worth = float(improbability(spread, every, [beside.force], unit)[0])
-    wider = with_one(spread, every, beside.force, unit, worth)
+    wider = likeliest(spread, every, with_one(beside.force), unit, worth)
     if wider is None:
         return model
     amid = Beside(wider, beside.path, unlearned(wider))
@@ -133,8 +134,7 @@ def hurried(model: Model) -> Model:
     assert model.beside is not None
     force = model.beside.force
     slow = (force.frequency == 0) & (force.time > USUAL_MEMORY.median)
-    if force.flows:
-        slow = slow.at[-1].set(False)
+    slow = slow.at[force.parts.current].set(False)
     time = jnp.where(slow, USUAL_MEMORY.median, force.time)
     quick = dataclasses.replace(force, size=force.size * jnp.sqrt(time / force.time), time=time)
     return dataclasses.replace(model, beside=dataclasses.replace(model.beside, force=quick))

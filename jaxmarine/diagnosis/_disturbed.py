@@ -20,24 +20,24 @@ from ._workbench import Workbench
 
 def known(force: Disturbance) -> RandomWrench:
     """What the filter estimated of a disturbance, without the windows along which it did."""
-    axes, count = np.array(force.axes), len(force.axes)
+    axes, parts = np.array(force.axes), force.parts
+    size, memory = np.asarray(force.size), np.asarray(force.time)
 
     def on_all(values) -> np.ndarray:
         out = np.zeros(6)
-        out[axes] = np.asarray(values)
+        out[axes] = values
         return out
 
-    out = RandomWrench(on_all(force.size[:count]), on_all(force.time[:count]))
-    if force.swells:
-        period, memory = 2 * np.pi / float(force.frequency[count]), float(force.time[count])
-        swell = on_all(force.size[count : 2 * count])
-        out = dataclasses.replace(out, swell=swell, period=period, swell_memory=memory)
+    out = RandomWrench(on_all(size[parts.own]), on_all(memory[parts.own]))
+    if force.swell is not None:
+        swell, period = on_all(size[parts.swell]), 2 * np.pi / float(force.swell.frequency)
+        out = dataclasses.replace(out, swell=swell, period=period, swell_memory=float(force.swell.time))
     if force.drifts:
-        drift = len(force.size) - force.flows - 1
-        size, memory = float(force.size[drift]), float(force.time[drift])
-        out = dataclasses.replace(out, drift=size, drift_memory=memory)
+        drift = {"drift": size[parts.drift].item(), "drift_memory": memory[parts.drift].item()}
+        out = dataclasses.replace(out, **drift)
     if force.flows:
-        out = dataclasses.replace(out, current=float(force.size[-1]), current_memory=float(force.time[-1]))
+        current = {"current": size[parts.current].item(), "current_memory": memory[parts.current].item()}
+        out = dataclasses.replace(out, **current)
     return out
 
 

@@ -1,41 +1,32 @@
 """What disturbs a craft, as random processes with a memory: a wrench on each axis, a swell, a drift, and
 a current.
 
-    d' = -d / time + w,    standard deviation `size`
-
-is the wrench on an axis (Gauss, Markov). A swell on it also turns with a frequency: it is the first component
-of a pair
-
-    p' = -p / time + [[0, -frequency], [frequency, 0]] p + b w,    standard deviation `size` of it,
-
-with such a b that it has no part which lasts: waves push to and fro. It is white noise through the filter
-
-    s / (s^2 + 2 s / time + 1 / time^2 + frequency^2)
-
-A drift is a force to the north and to the east: two numbers like the first. Wind and waves push so for longer
-than a craft keeps its heading; the wrench on each axis turns with the hull, as turbulence about it does. A
-current is the water's velocity to the north and to the east. What it does turns with the heading too, and
-grows with the craft's speed, as no force does.
+The wrench on an axis wanders, and so does a swell on it, which also swings (`_processes.py`). A drift is a
+force to the north and to the east: two numbers that wander. Wind and waves push so for longer than a craft
+keeps its heading; the wrench on each axis turns with the hull, as turbulence about it does. A current is the
+water's velocity to the north and to the east. What it does turns with the heading too, and grows with the
+craft's speed, as no force does.
 
 Between two samples a craft is moved by what pushed on the average, which at the first of them is known in
 part only: of a disturbance that forgets within a sample's time hardly anything is (`Disturbance.over`). The
 mean is all that is told of a hold: that an early push moves a craft farther than a late one is left out. It
 shows where positions are known better than to a tenth of what a push moves a craft in a sample's time.
 
-Source: after Van Loan (1978) on what is new in a process and in its integral over a step, and Fossen (2021)
-on slowly varying forces as a Gauss-Markov bias in earth axes, and on a filter of second order for waves.
+Source: after Fossen (2021) on slowly varying forces as a Gauss-Markov bias in earth axes.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..physics import rotation
+from ._processes import Hold, Process, Swell, Wander
 from ._windows import PLANE
 
 
@@ -53,19 +44,30 @@ class Usual(NamedTuple):
         return (jnp.log(value / self.median) / self.spread) ** 2
 
 
-# Of wind, waves and water: sizes [full thrust] and memories [s]; of a swell how long it stays in step with
-# itself [s], and the frequency [rad/s] of one with a period of 5 s.
+# Of wind, waves and water: sizes [full thrust] and memories [s]; of a swell the frequency [rad/s] of one with
+# a period of 5 s, and how long it stays in step with itself [s] so that its spectrum is most like that which
+# JONSWAP found on the average.
 USUAL_SIZE, USUAL_MEMORY = Usual(0.02, 3.0), Usual(4.0, 1.0)
-SWELL_MEMORY, SWELL_FREQUENCY = Usual(10.0, 1.0), Usual(2 * np.pi / 5, 0.7)
+SWELL_MEMORY, SWELL_FREQUENCY = Usual(3.0, 1.0), Usual(2 * np.pi / 5, 0.7)
 # Of a drift its memory [s], between that of a wrench and that of a current.
 DRIFT_MEMORY = Usual(12.0, 1.0)
 # Of a current that wanders: size [m/s], and memory [s].
 USUAL_FLOW, FLOW_MEMORY = Usual(0.06, 1.0), Usual(40.0, 1.0)
 
 
-# Places in [-1, 1] and their weights, for integrals over a hold (Gauss, Legendre): exact to a thousandth of a
-# disturbance's variance where it remembers a thirtieth of a hold and turns less than two turns in one.
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
+class Kinds(NamedTuple):
+    """Which numbers are of each kind of a disturbance: none of one that it has not."""
+
+    own: slice
+    swell: slice
+    drift: slice
+    current: slice
+
+    @classmethod
+    def one_by_one(cls, own: int, swell: int, drift: int, current: int) -> "Kinds":
+        """So many of each, one behind the other."""
+        ends: list[int] = np.cumsum([0, own, swell, drift, current]).tolist()
+        return cls(*map(slice, ends[:-1], ends[1:]))
 
 
 class Disturbance(eqx.Module):
@@ -98,20 +100,31 @@ class Disturbance(eqx.Module):
         return self.swells, self.drifts, self.flows
 
     @property
-    def _pairs(self) -> slice:
-        """Parts that are the swell's."""
-        return slice(len(self.axes), len(self.axes) * (2 if self.swells else 1))
+    def parts(self) -> Kinds:
+        n = len(self.axes)
+        return Kinds.one_by_one(n, n * self.swells, self.drifts, self.flows)
+
+    @property
+    def swell(self) -> Swell | None:
+        """The process of the swell, which is alike on all axes."""
+        first = self.parts.swell.start
+        return Swell(self.time[first], self.frequency[first]) if self.swells else None
+
+    @property
+    def places(self) -> Kinds:
+        n = len(self.axes)
+        swell = Swell.STATES * n * self.swells
+        return Kinds.one_by_one(n, swell, PLANE * self.drifts, PLANE * self.flows)
 
     @property
     def states(self) -> int:
-        return len(self.axes) * (3 if self.swells else 1) + PLANE * (self.drifts + self.flows)
+        return self.places.current.stop
 
     def shared_with(self, narrower: "Disturbance") -> Int[np.ndarray, " states"]:
         """Indices of those of its states that one has as well which lacks some of its kinds."""
-        kinds = zip((True, *narrower.kind), (True, *self.kind), strict=True)
-        lengths = len(self.axes), 2 * len(self.axes), PLANE, PLANE
-        kept = [np.full(length * own, has) for (has, own), length in zip(kinds, lengths, strict=True)]
-        return np.flatnonzero(np.concatenate(kept))
+        both = zip(narrower.places, self.places, strict=True)
+        kept = [np.arange(own.start, own.stop) for its, own in both if its.stop > its.start]
+        return np.concatenate(kept)
 
     def output(self, plane: Float[Array, "axes plane"]) -> Float[Array, "pushes states"]:
         """From its states to the wrench on its axes, and to the water's velocity.
@@ -120,7 +133,7 @@ class Disturbance(eqx.Module):
         """
         wrench = [jnp.eye(len(self.axes))]
         if self.swells:
-            wrench.append(jnp.kron(wrench[0], jnp.array([[1.0, 0.0]])))
+            wrench.append(jnp.kron(wrench[0], Swell.OUT))
         if self.drifts:
             wrench.append(plane)
         flow = jnp.eye(PLANE) if self.flows else jnp.zeros((PLANE, 0))
@@ -129,99 +142,45 @@ class Disturbance(eqx.Module):
     @property
     def spread(self) -> Float[Array, "states states"]:
         """Covariance of its states, after many memories."""
-        return self._blocks(self.size**2, self._swell)
-
-    @property
-    def _swell(self) -> Float[Array, "2 2 pairs"]:
-        """Covariance of the swell's pairs, which follows from their `_kick`."""
-        turns = 1.0 / (self.frequency[self._pairs] * self.time[self._pairs])
-        whole, lead = self.size[self._pairs] ** 2, 1.0 + 2.0 * turns**2
-        both = jnp.stack([whole, whole * turns, whole * turns, whole * lead])
-        return both.reshape(2, 2, *turns.shape)
+        return self._on_states(*self._each(lambda process: process.spread), self.size**2)
 
     def after(self, dt: Float[Array, ""], states: Float[Array, "states columns"]):
         """What is left of its states [states, columns] after some time [s]."""
-        n, stays = len(self.axes), jnp.exp(-self._rate * dt)
-        own, pairs, last = jnp.split(states, [n, n + 2 * len(stays[self._pairs])])
-        pairs = jnp.einsum("ija,ajc->aic", self._turns(stays), pairs.reshape(-1, 2, states.shape[1]))
-        in_plane = jnp.repeat(stays.real[len(stays) - self.drifts - self.flows :], PLANE)
-        left = stays.real[:n, None] * own, pairs.reshape(-1, states.shape[1]), in_plane[:, None] * last
-        return jnp.concatenate(left)
+        wander, swell = self._each(lambda process: process.left(dt))
+        own, swinging, *plane = (states[place] for place in self.places)
+        if swell is not None:
+            by_axis = swinging.reshape(len(own), len(swell), -1)
+            swinging = jnp.einsum("ij,ajc->aic", swell, by_axis).reshape(swinging.shape)
+        drift, current = (wander[part, 0] * both for part, both in zip(self.parts[2:], plane, strict=True))
+        return jnp.concatenate([wander[self.parts.own, 0] * own, swinging, drift, current])
 
     def new(self, dt: Float[Array, ""]) -> Float[Array, "states states"]:
         """Covariance of what is new in its states after some time [s]."""
-        left, swell = self._turns(jnp.exp(-self._rate * dt)), self._swell
-        stays = jnp.einsum("ija,jka,lka->ila", left, swell, left)
-        return self._blocks(self.size**2 * -jnp.expm1(-2 * dt / self.time), swell - stays)
+        return self._on_states(*self._each(lambda process: process.new(dt)), self.size**2)
 
-    @property
-    def _rate(self) -> Complex[Array, " parts"]:
-        """A part, a pair as one complex number, goes on as exp(-rate t)."""
-        return 1.0 / self.time - 1j * self.frequency
+    def over(self, dt: Float[Array, ""]) -> Hold:
+        """What its states are on the average over a hold of some length [s], which is not nothing."""
+        wander, swell = self._each(lambda process: process.over(dt))
+        scales = jnp.ones_like(self.size), self.size**2, self.size**2
+        return Hold(*map(self._on_states, wander, swell or [None] * len(wander), scales))
 
-    @property
-    def _kick(self) -> Complex[Array, " parts"]:
-        """What a number that is new, of size one in a second, adds to each part.
+    def _each(self, of: Callable[[Process], Any]) -> tuple[Any, Any]:
+        """Of the processes of all parts, as those that wander, and of that of the swell."""
+        return jax.vmap(lambda time: of(Wander(time)))(self.time), self.swell and of(self.swell)
 
-        To a pair in such a direction that nothing of it is left in its first number where it changes slowly.
-        """
-        own = self.size * jnp.sqrt(2.0 / self.time) + 0j
-        swings = self.frequency > 0
-        swell = 2j * self.size * self._rate / (jnp.where(swings, self.frequency, 1.0) * jnp.sqrt(self.time))
-        return jnp.where(swings, swell, own)
-
-    def over(self, dt: Float[Array, ""]) -> "Hold":
-        """What its states are on the average over a hold of some length [s], which is not nothing.
-
-        What is new in a part some time before the hold's end adds to the end as exp(-rate t), and to the mean
-        as that does on the average.
-        """
-        rate, kick = self._rate, self._kick
-
-        def adds(t):
-            """To the mean, of one that is new so long before the end."""
-            return -jnp.expm1(-rate * t) / (rate * dt)
-
-        def both(t):
-            """Products of what is new so long before the end in the mean, and at the end, with the former."""
-            end, mean = kick * jnp.exp(-rate * t), kick * adds(t)
-            parts = [jnp.stack([one.real, one.imag]) for one in (mean, end)]
-            return [one[:, None] * parts[0][None] for one in parts]
-
-        # The weights are of an integral from -1 to 1.
-        within = [
-            0.5 * dt * jnp.tensordot(WEIGHTS, one, 1) for one in jax.vmap(both)(0.5 * dt * (1.0 + NODES))
-        ]
-        new = [self._blocks(one[0, 0], one[:, :, self._pairs]) for one in within]
-        return Hold(self._matrix(adds(dt)), *new)
-
-    def _turns(self, of_parts: Complex[Array, " parts"]) -> Float[Array, "2 2 pairs"]:
-        """Complex factors of its parts as matrices on the swell's pairs."""
-        pairs = of_parts[self._pairs]
-        return jnp.stack([pairs.real, -pairs.imag, pairs.imag, pairs.real]).reshape(2, 2, *pairs.shape)
-
-    def _matrix(self, of_parts: Complex[Array, " parts"]) -> Float[Array, "states states"]:
-        """Complex factors of its parts as a matrix on its states."""
-        return self._blocks(of_parts.real, self._turns(of_parts))
-
-    def _blocks(
-        self, single: Float[Array, " parts"], pairs: Float[Array, "2 2 pairs"]
+    def _on_states(
+        self,
+        wander: Float[Array, "parts 1 1"],
+        swell: Float[Array, "4 4"] | None,
+        scale: Float[Array, " parts"],
     ) -> Float[Array, "states states"]:
-        """A matrix on its states, of a number for each part, or of 2 x 2 for each pair of a swell."""
-        last = single[len(single) - self.drifts - self.flows :]
-        blocks = [jnp.diag(single[: len(self.axes)]), *jnp.moveaxis(pairs, -1, 0)]
+        """A matrix on its states, of those of processes of size one, each part's times a number."""
+        wander = wander[:, 0, 0] * scale
+        blocks = [jnp.diag(wander[self.parts.own])]
+        if swell is not None:
+            blocks.append(jnp.kron(jnp.diag(scale[self.parts.swell]), swell))
+        last = wander[self.parts.swell.stop :]
         return jax.scipy.linalg.block_diag(*blocks, *(one * jnp.eye(PLANE) for one in last))
-
-
-class Hold(NamedTuple):
-    """The mean of a disturbance over a hold: by its first states, and what is new in it.
-
-    - `variance` of what is new in the mean; `covariance` of what is new in the states at the end with that.
-    """
-
-    mean: Float[Array, "states states"]
-    variance: Float[Array, "states states"]
-    covariance: Float[Array, "states states"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,32 +194,39 @@ class Logarithms:
 
     axes: int
 
+    def places(self, force: Disturbance) -> Kinds:
+        n = self.axes
+        return Kinds.one_by_one(2 * n, (n + 2) * force.swells, 2 * force.drifts, 2 * force.flows)
+
     def of(self, force: Disturbance, unit: np.ndarray) -> Float[np.ndarray, " logarithms"]:
-        n, size = self.axes, np.asarray(force.size / self._units(force, unit))
+        size, parts = np.asarray(force.size / self._units(force, unit)), force.parts
         time, frequency = np.asarray(force.time), np.asarray(force.frequency)
-        swell = [size[n : 2 * n], time[n : n + 1], frequency[n : n + 1]] if force.swells else []
-        at = len(size) - force.flows - 1
-        drift = [size[at : at + 1] / np.sqrt(time[at]), time[at : at + 1]] if force.drifts else []
-        flow = [size[-1:], time[-1:]] if force.flows else []
-        return np.log(np.concatenate([size[:n] / np.sqrt(time[:n]), time[:n], *swell, *drift, *flow]))
+        new, first = size / np.sqrt(time), slice(parts.swell.start, parts.swell.start + force.swells)
+        each = [
+            *(new[parts.own], time[parts.own]),
+            *(size[parts.swell], time[first], frequency[first]),
+            *(new[parts.drift], time[parts.drift]),
+            *(size[parts.current], time[parts.current]),
+        ]
+        return np.log(np.concatenate(each))
 
     def set(self, force: Disturbance, unit: Array, values: Float[Array, " logarithms"]) -> Disturbance:
-        n, values = self.axes, jnp.exp(values)
-        size, time, frequency = values[:n] * jnp.sqrt(values[n : 2 * n]), values[n : 2 * n], jnp.zeros(n)
+        n = self.axes
+        own, swell, drift, current = (jnp.exp(values[place]) for place in self.places(force))
+        size, time = [own[:n] * jnp.sqrt(own[n:])], [own[n:]]
+        frequency = jnp.zeros_like(force.frequency)
         if force.swells:
-            size = jnp.concatenate([size, values[2 * n : 3 * n]])
-            time = jnp.concatenate([time, jnp.full(n, values[3 * n])])
-            frequency = jnp.concatenate([frequency, jnp.full(n, values[3 * n + 1])])
+            size.append(swell[:n])
+            time.append(jnp.repeat(swell[n], n))
+            frequency = frequency.at[force.parts.swell].set(swell[n + 1])
         if force.drifts:
-            at = len(values) - 2 * force.flows - 2
-            new, memory = values[at], values[at + 1]
-            size, time = jnp.append(size, new * jnp.sqrt(memory)), jnp.append(time, memory)
-            frequency = jnp.append(frequency, 0.0)
+            size.append(drift[:1] * jnp.sqrt(drift[1:]))
+            time.append(drift[1:])
         if force.flows:
-            size, time = jnp.append(size, values[-2]), jnp.append(time, values[-1])
-            frequency = jnp.append(frequency, 0.0)
-        size = size * self._units(force, unit)
-        return dataclasses.replace(force, size=size, time=time, frequency=frequency)
+            size.append(current[:1])
+            time.append(current[1:])
+        size = jnp.concatenate(size) * self._units(force, unit)
+        return dataclasses.replace(force, size=size, time=jnp.concatenate(time), frequency=frequency)
 
     def _of_kinds(
         self,
@@ -278,7 +244,8 @@ class Logarithms:
 
     def new(self, force: Disturbance) -> Float[np.ndarray, " logarithms"]:
         """Of each size, how many numbers are new at a time that are as large as it; 0 of all others."""
-        return self._of_kinds(force, [1.0, 0.0], [2.0, 0.0, 0.0], [2.0, 0.0], [2.0, 0.0])
+        swell = [float(Swell.STATES), 0.0, 0.0]
+        return self._of_kinds(force, [1.0, 0.0], swell, [2.0, 0.0], [2.0, 0.0])
 
     def _units(self, force: Disturbance, unit: Array | np.ndarray) -> Array:
         """Of each part's size: the full thrust of its axis, or of the stronger one; of a current 1 m/s."""
@@ -291,16 +258,15 @@ class Logarithms:
 
     def unusual(self, force: Disturbance, unit: Array) -> Float[Array, ""]:
         """Minus twice the logarithm of the prior's density."""
-        n, size = self.axes, force.size / self._units(force, unit)
-        wrenches = size[: len(size) - force.flows]
-        out = USUAL_SIZE.unusual(wrenches).sum() + USUAL_MEMORY.unusual(force.time[:n]).sum()
+        parts, size = force.parts, force.size / self._units(force, unit)
+        out = USUAL_SIZE.unusual(size[: parts.drift.stop]).sum()
+        out += USUAL_MEMORY.unusual(force.time[parts.own]).sum()
         if force.swells:
-            out += SWELL_MEMORY.unusual(force.time[n]) + SWELL_FREQUENCY.unusual(force.frequency[n])
-        if force.drifts:
-            out += DRIFT_MEMORY.unusual(force.time[len(size) - force.flows - 1])
-        if force.flows:
-            out += USUAL_FLOW.unusual(size[-1]) + FLOW_MEMORY.unusual(force.time[-1])
-        return out
+            first = parts.swell.start
+            out += SWELL_MEMORY.unusual(force.time[first]) + SWELL_FREQUENCY.unusual(force.frequency[first])
+        out += DRIFT_MEMORY.unusual(force.time[parts.drift]).sum()
+        out += USUAL_FLOW.unusual(size[parts.current]).sum()
+        return out + FLOW_MEMORY.unusual(force.time[parts.current]).sum()
 
 
 def count_of(force: Disturbance) -> int:
@@ -338,40 +304,3 @@ def by_plane(
     turns = jnp.vectorize(rotation, signature="(q)->(i,j)")(attitude)[..., :PLANE, :]
     on_six = jnp.pad(jnp.swapaxes(turns, -1, -2), [(0, 0)] * (attitude.ndim - 1) + [(0, 3), (0, 0)])
     return on_six[..., np.array(axes), :]
-
-
-def without_swell(
-    force: Disturbance, covariance: Float[np.ndarray, "logarithms logarithms"]
-) -> tuple[Disturbance, Float[np.ndarray, "some some"]]:
-    """The disturbance without the swell that it has, and what is known of the `Logarithms` that are left."""
-    n = len(force.axes)
-    parts, logarithms = np.arange(len(force.size)), np.arange(len(covariance))
-    left = (parts < n) | (parts >= 2 * n)
-    kept = (logarithms < 2 * n) | (logarithms >= 3 * n + 2)
-    some = {name: getattr(force, name)[left] for name in ("size", "time", "frequency")}
-    return dataclasses.replace(force, **some), covariance[np.ix_(kept, kept)]
-
-
-def drifting(
-    force: Disturbance, size: float | Array, time: float | Array = DRIFT_MEMORY.median
-) -> Disturbance:
-    """The disturbance with a drift of some size [N] and memory [s] beside it."""
-    at = len(force.size) - force.flows
-    return dataclasses.replace(
-        force,
-        size=jnp.insert(force.size, at, size),
-        time=jnp.insert(force.time, at, time),
-        frequency=jnp.insert(force.frequency, at, 0.0),
-        drifts=True,
-    )
-
-
-def flowing(force: Disturbance, size: float = USUAL_FLOW.median) -> Disturbance:
-    """The disturbance with a current of some size [m/s] and of a usual memory beside it."""
-    return dataclasses.replace(
-        force,
-        size=jnp.append(force.size, size),
-        time=jnp.append(force.time, FLOW_MEMORY.median),
-        frequency=jnp.append(force.frequency, 0.0),
-        flows=True,
-    )

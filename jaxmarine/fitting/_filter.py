@@ -30,15 +30,7 @@ from scipy import optimize
 from .._compiled import compiled
 from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
-from ._disturbance import (
-    SWELL_MEMORY,
-    USUAL_MEMORY,
-    Disturbance,
-    Logarithms,
-    by_plane,
-    drifting,
-    flowing,
-)
+from ._disturbance import Disturbance, Logarithms, by_plane
 from ._linearise import BATCH, added, of_filled, swept
 from ._parts import in_parts, joined, part_of
 from ._rollout import LOOSE, TIGHT, Problem
@@ -48,14 +40,6 @@ from ._windows import PLANE, Trail
 # Standard deviation of a window's first state [m, rad, m/s, rad/s] about its guess: far more than a guess is
 # off, and so little that rounding leaves the filter what the sensors tell.
 ANY = 10.0
-# Periods of a swell from which its own is looked for [s], and what it leaves of a wrench's size meanwhile.
-PERIODS, LEFT = (2.0, 3.2, 5.0, 8.0, 13.0), 1 / 3
-# How much longer than the wrench that it stands for a drift may last.
-LONGER = (1.0, 3.0, 10.0)
-# From a disturbance to a wider one, None where that is no likelier (`with_swell`).
-Wider = Callable[..., Disturbance | None]
-# Sizes of a current from which its own is looked for [m/s].
-CURRENTS = (0.02, 0.06, 0.2)
 # Steps of the search for sizes and memories at most, and the decrease of minus twice the logarithm of the
 # likelihood that is not worth one.
 STEPS, ENOUGH = 40, 0.1
@@ -707,85 +691,20 @@ def _come_near(
     return best
 
 
-def with_swell(
-    spread: Float[Array, "12"],
-    every: Windowed,
-    force: Disturbance,
-    unit: Float[np.ndarray, " axes"],
-    worth: float,
-) -> Disturbance | None:
-    """The disturbance with a swell in its place, of its likeliest period, where that is likelier.
-
-    - `worth`: `improbability` of the disturbance as it is.
-    """
-    n = len(force.axes)
-    own, rest = slice(0, n), slice(n, None)
-    time = [jnp.maximum(force.time[own], USUAL_MEMORY.median), jnp.full(n, SWELL_MEMORY.median)]
-    both = {
-        "size": jnp.concatenate([force.size[own] * LEFT, force.size]),
-        "time": jnp.concatenate([*time, force.time[rest]]),
-    }
-    swinging = [jnp.full(n, 2 * np.pi / period) for period in PERIODS]
-    frequencies = [jnp.concatenate([jnp.zeros(n), one, force.frequency[rest]]) for one in swinging]
-    swells = [dataclasses.replace(force, **both, frequency=one) for one in frequencies]
-    return _likeliest(spread, every, swells, unit, worth)
-
-
-def with_drift(
-    spread: Float[Array, "12"],
-    every: Windowed,
-    force: Disturbance,
-    unit: Float[np.ndarray, " axes"],
-    worth: float,
-) -> Disturbance | None:
-    """The disturbance with a drift in the place of what it has ahead and abeam, where that is likelier.
-
-    - `worth`: `improbability` of the disturbance as it is.
-    """
-    plane = np.flatnonzero(np.array(force.axes) < PLANE)
-    size, time = jnp.sqrt((force.size[plane] ** 2).mean()), jnp.exp(jnp.log(force.time[plane]).mean())
-    small = dataclasses.replace(force, size=force.size.at[plane].multiply(LEFT))
-    others = [drifting(small, size, time * longer) for longer in LONGER]
-    return _likeliest(spread, every, others, unit, worth)
-
-
-def with_current(
-    spread: Float[Array, "12"],
-    every: Windowed,
-    force: Disturbance,
-    unit: Float[np.ndarray, " axes"],
-    worth: float,
-) -> Disturbance | None:
-    """The disturbance with a current beside it, of its likeliest size, where that is likelier.
-
-    - `worth`: `improbability` of the disturbance as it is.
-    """
-    steers = force.frequency == 0
-    small = dataclasses.replace(force, size=jnp.where(steers, LEFT, 1.0) * force.size)
-    # A current may be all that disturbs, or come beside what does.
-    others = [flowing(one, size) for one in (small, force) for size in CURRENTS]
-    return _likeliest(spread, every, others, unit, worth)
-
-
-def _likeliest(
+def likeliest(
     spread: Float[Array, "12"],
     every: Windowed,
     others: Sequence[Disturbance],
     unit: Float[np.ndarray, " axes"],
     worth: float,
 ) -> Disturbance | None:
-    """The likeliest of some other disturbances, if it is likelier than one that is worth so much."""
+    """The likeliest of some disturbances of one kind, if it is likelier than one that is worth so much.
+
+    - `worth`: `improbability` of that. `spread`, `unit`: as of `estimated`.
+    """
     of_others = improbability(spread, every, others, unit)
     best = int(np.argmin(np.nan_to_num(of_others, nan=np.inf)))
     return others[best] if of_others[best] < worth else None
-
-
-def wider_by(force: Disturbance) -> list[Wider]:
-    """By what a disturbance can be wider that it does not have."""
-    plane = len({*range(PLANE)} & {*force.axes})
-    able = True, plane == PLANE, plane > 0
-    each = zip((with_swell, with_drift, with_current), able, force.kind, strict=True)
-    return [one for one, can, has in each if can and not has]
 
 
 class Likelihood(eqx.Module):

@@ -437,16 +437,15 @@ def expected(message: Message, force: Disturbance, after: float, z: Float[np.nda
     return Begun(state[:3], turn, state[7:], -left)
 
 
-def swell(
-    message: Message, force: Disturbance, z: Float[np.ndarray, " z"]
-) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Where a block ends, the wrench of a swell that is expected there, and that a quarter of a turn before.
+def swelling(message: Message, force: Disturbance, z: Float[np.ndarray, " z"]) -> Float[np.ndarray, "axes 2"]:
+    """The swell that is expected where a block ends, and that a quarter of a turn before (`Swell.out`).
 
-    [N, N m], along its axes; it is cos(wt) of the one and sin(wt) of the other less, a time t later.
+    [N, N m], along the axes of a disturbance that has one.
     """
-    count = len(force.axes)
-    states = -np.asarray(message.mean @ jnp.append(jnp.asarray(z), 1.0))[13:]
-    return states[count : 3 * count : 2], states[count + 1 : 3 * count : 2]
+    assert force.swell is not None
+    mean = message.mean @ jnp.append(jnp.asarray(z), 1.0)
+    states = -mean[13 + force.places.swell.start : 13 + force.places.swell.stop]
+    return np.asarray(force.swell.out(states.reshape(len(force.axes), -1)))
 
 
 @compiled

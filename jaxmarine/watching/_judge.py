@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnosis import Criteria
-from ..fitting import unusual, with_current, with_drift
+from ..fitting import Wider, unusual, with_current, with_drift
 from ..vehicle import Placed
 from ._evidence import Member, Sum
 from ._ledger import Account, Ledger
@@ -38,7 +38,7 @@ LEADS = 3.0
 # Rivals with a disturbance of their own each before one is named; of those that are `HOPEFUL`.
 RIVALS = 3
 DAY = 86400.0
-WANDERING = {with_drift: "a force that wanders", with_current: "a current that wanders"}
+WANDERING: dict[Wider, str] = {with_drift: "a force that wanders", with_current: "a current that wanders"}
 UNSUSPECTED = "a cause that is not suspected"
 
 

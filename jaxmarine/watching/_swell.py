@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ..diagnosis import Layout, in_phase
 from ..fitting import Disturbance
-from ._blocks import swell
+from ._blocks import swelling
 from ._evidence import Member, Suspicions
 from ._ledger import Account
 from ._passage import Passage
@@ -35,14 +35,14 @@ def waves(
     Where the passage ends, beside members with known numbers.
     """
     ledger, begun, force = passage.ledger, passage.course.begun, account.force
-    if not force.swells or begun is None:
+    if force.swell is None or begun is None:
         return
     z = ledger.suspicions.acting(known, members).at(ledger.t)
     here, there = np.zeros((2, 6))
-    here[list(force.axes)], there[list(force.axes)] = swell(account.message, force, z)
+    here[list(force.axes)], there[list(force.axes)] = swelling(account.message, force, z).T
     turn = Rotation.from_quat(begun.attitude, scalar_first=True)
     towards, across = turn.apply(here[:3])[:2], turn.apply(there[:3])[:2]
-    frequency = float(force.frequency[len(force.axes)]) / (2 * np.pi)
+    frequency = float(force.swell.frequency) / (2 * np.pi)
     layout, span = ledger.bench.layout, ledger.t - float(ledger.begun_at[0])
     slots, neutral = layout.suspects[suspect].slots, layout.neutral_of(suspect)
     for turns in SLIPS:
@@ -91,5 +91,5 @@ def stilled(before: Disturbance, after: Disturbance) -> bool:
 
 def _energy(force: Disturbance) -> float:
     """Variance of a swell's forces ahead and abeam [N^2]."""
-    count = len(force.axes)
-    return sum(float(force.size[count + i]) ** 2 for i in range(count) if force.axes[i] < 2 and force.swells)
+    size = force.size[force.parts.swell]
+    return sum(float(one) ** 2 for one, axis in zip(size, force.axes, strict=False) if axis < 2)
