@@ -70,7 +70,7 @@ class Outside:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What the surroundings do to the craft, held over each sample; rows of samples first.
+    """What the surroundings do to the craft, along lines from sample to sample; rows of samples first.
 
     - `wrench` (rows, 6, B): at o in body axes [N, N m].
     - `force` (rows, 3, B): at o in earth axes [N].
@@ -81,13 +81,21 @@ class Disturbance:
     force: Array | None = None
     water: Array | None = None
 
-    def at(self, k: int, attitude: Array) -> tuple[Array, Array | None]:
-        """Wrench in body axes at an attitude (3, B), and velocity of the water, in row k."""
-        wrench = self.wrench[k]
+    def at(self, row: float, attitude: Array) -> tuple[Array, Array | None]:
+        """Wrench in body axes at an attitude (3, B), and velocity of the water, at a row or behind it.
+
+        Wind and waves do not wait for a sample as commands do.
+        """
+        k, share = int(row), row % 1.0
+
+        def along(signal: Array) -> Array:
+            now, then = (signal[min(one, len(signal) - 1)] for one in (k, k + 1))
+            return now + share * (then - now)
+
+        wrench = along(self.wrench)
         if self.force is not None:
-            wrench = wrench.copy()
-            wrench[:3] += (rotation(attitude) * self.force[k][:, None]).sum(0)
-        return wrench, None if self.water is None else self.water[k]
+            wrench[:3] += (rotation(attitude) * along(self.force)[:, None]).sum(0)
+        return wrench, None if self.water is None else along(self.water)
 
 
 def coriolis(m: Array, nu: Array) -> Array:
@@ -448,6 +456,12 @@ def simulate(
     accelerations = np.empty((samples, 6, s.shape[1]))
     thrust = np.broadcast_to(np.asarray(thrust, float), commands.shape[1:]) + 0.0
     ends = [k for k, _ in schedule[1:]] + [samples]
+
+    def slope(model: Model, k: int, within: float, s: Array, force: Array) -> Array:
+        """d/dt of the state at a time within the hold of a sample."""
+        pushed = (0.0, None) if disturbance is None else disturbance.at(lead + k + within / dt, s[3:6])
+        return model.derivative(t0 + k * dt + within, s, force, *pushed)
+
     for (first, model), last in zip(schedule, ends, strict=True):
         drive = model.drive(commands)
         steps_of = cache(partial(model.steps, dt))
@@ -455,14 +469,12 @@ def simulate(
         lagging = bool(alive.any())
         limited = np.isfinite(model.rate)[:, None]
         for k in range(first, last):
-            extra, water = (0.0, None) if disturbance is None else disturbance.at(lead + k, s[3:6])
             if steer is not None:
                 commands[lead + k] = steer(k, s)
                 drive[lead + k] = model.drive(commands[lead + k])
             # A step of 2.8 times what the fastest damping takes settles on motions that no damping allows.
             halvings = max(0, math.ceil(np.log2(max(model.fastest(s[6:12]) * step, 1e-9))))
             for number, (offset, h, shift, half, whole) in enumerate(steps_of(step / 2**halvings)):
-                t = t0 + k * dt + offset
                 target = drive[np.maximum(lead + k + shift, 0), each]
                 f0 = fm = f1 = target
                 if lagging:
@@ -477,13 +489,13 @@ def simulate(
                         limited, thrust + np.clip(target - thrust, -0.5 * most * h, 0.5 * most * h), fm
                     )
                     f1 = np.where(limited, thrust + steer_by, f1)
-                a = model.derivative(t, s, f0, extra, water)
+                a = slope(model, k, offset, s, f0)
                 if number == 0:
                     states[k] = s
                     accelerations[k] = a[6:12]
-                b = model.derivative(t + 0.5 * h, s + 0.5 * h * a, fm, extra, water)
-                c = model.derivative(t + 0.5 * h, s + 0.5 * h * b, fm, extra, water)
-                d = model.derivative(t + h, s + h * c, f1, extra, water)
+                b = slope(model, k, offset + 0.5 * h, s + 0.5 * h * a, fm)
+                c = slope(model, k, offset + 0.5 * h, s + 0.5 * h * b, fm)
+                d = slope(model, k, offset + h, s + h * c, f1)
                 s = s + h / 6.0 * (a + 2.0 * (b + c) + d)
                 thrust = f1
     return Run(states, accelerations)
