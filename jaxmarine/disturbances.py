@@ -53,8 +53,8 @@ class RandomWrench:
         """One course of it over the times of a log [s], as `simulate` takes it for `push`.
 
         Exact at the samples, however far apart they are. The first value is a draw too: it has been blowing.
-        `simulate` holds each until the next: where samples are farther apart than a small part of a memory or
-        of a period, that pushes more than the disturbance would, of which means over a hold are smaller.
+        `simulate` goes along lines from one to the next: where samples are farther apart than a small part of
+        a memory or of a period, that pushes otherwise than the disturbance would.
         """
         rng, gap = np.random.default_rng(seed), np.diff(t, prepend=-np.inf)
         out = _course(np.where(self.size > 0, self.memory, 1.0), self.size, gap, rng)

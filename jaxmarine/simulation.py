@@ -1,6 +1,6 @@
 """A vehicle and its commands become a trajectory. The one place that knows diffrax.
 
-The input is held over each sample, so the integration steps from sample to sample with the held
+Commands are held over each sample, so the integration steps from sample to sample with the held
 input as its argument: an input looked up by time inside the vector field would give the last stage
 of a step the next sample.
 """
@@ -252,7 +252,7 @@ def _slopes(plant: Plant, state: State) -> tuple[Array, Array]:
     return jax.jacfwd(flow, argnums=(0, 1))(jnp.zeros(3), state.velocity)
 
 
-def inputs(plant: Plant, t: Times, commands, wrench, water=None, drift=None) -> tuple[Input, Input]:
+def inputs(plant: Plant, t: Times, commands, wrench) -> tuple[Input, Input]:
     """The inputs over each hold and at each sample.
 
     - `plant`: constants of the drive with one row per sample, or without (then they hold throughout).
@@ -263,18 +263,45 @@ def inputs(plant: Plant, t: Times, commands, wrench, water=None, drift=None) -> 
     drive = jax.tree.map(lambda a: jnp.broadcast_to(a, commands.shape), plant.drive)
     push = thrust(drive, t, commands)
     middle = t + 0.5 * step_lengths(t)
-    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving, water, drift)
-    return over, Input(push.instant, commands, wrench, t, moving=moving, water=water, drift=drift)
+    over = Input(push.mean, commands, wrench, t, push.slope, middle, moving)
+    return over, Input(push.instant, commands, wrench, t, moving=moving)
+
+
+class Disturbing(NamedTuple):
+    """What disturbs a craft at the samples of a log, as of `simulate`; None: it does not."""
+
+    push: Float[Array, "times 6"] | None
+    water: Float[Array, "times 3"] | None
+    drift: Float[Array, "times 3"] | None
+
+    def over(self) -> "Disturbing":
+        """Its mean over each hold: it does not wait for a sample as commands do, and the last one stays."""
+        return jax.tree.map(lambda a: jnp.concatenate([0.5 * (a[:-1] + a[1:]), a[-1:]]), self)
+
+    def beside(self, drive: Input) -> Input:
+        wrench = drive.wrench if self.push is None else drive.wrench + self.push
+        return dataclasses.replace(drive, wrench=wrench, water=self.water, drift=self.drift)
 
 
 @eqx.filter_jit
 def _roll_out(
-    vehicle: Vehicle, acting, segment, start: State, t, commands, wrench, water, drift, solver, split, width
+    vehicle: Vehicle,
+    acting,
+    segment,
+    start: State,
+    t,
+    commands,
+    wrench,
+    disturbing: Disturbing,
+    solver,
+    split,
+    width,
 ):
     plants = jax.vmap(vehicle.plant)(acting)
     # Masses inside are no effects: they are the same in all segments.
     sampled = eqx.tree_at(lambda p: p.masses, jax.tree.map(lambda a: a[segment], plants), vehicle.masses)
-    over, at = inputs(sampled, t, commands, wrench, water, drift)
+    over, at = inputs(sampled, t, commands, wrench)
+    over, at = disturbing.over().beside(over), disturbing.beside(at)
 
     def step(state, now):
         index, over, at, dt, split = now
@@ -321,10 +348,10 @@ def simulate(
       vehicle's fastest mode needs. Any diffrax solver runs with adaptive steps inside each sample
       (rtol 1e-8): `diffrax.Tsit5()`, or `diffrax.Kvaerno5()` for stiff vehicles.
     - `earlier`: names of logs recorded before the effects with `since` began.
-    - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands, held from sample to
-      sample: what disturbs it, such as a draw of a `RandomWrench`.
-    - `water`: velocity of the water [m/s, north, east, down] beside the vehicle's own, held likewise.
-    - `drift`: a force at the vehicle's origin [N, north, east, down], held likewise.
+    - `push`: a wrench on the hull [N, N m, body axes] beside what the log commands: what disturbs it, such as
+      a draw of a `RandomWrench`. From sample to sample it goes along a line, of which the mean acts.
+    - `water`: velocity of the water [m/s, north, east, down] beside the vehicle's own, likewise.
+    - `drift`: a force at the vehicle's origin [N, north, east, down], likewise.
     - `sensors`: kinds to show beside those of every log and of this one: "water_velocity", "specific_force".
     """
     unknown = [kind for kind in sensors if kind not in ALL_SENSORS]
@@ -336,7 +363,6 @@ def simulate(
     given = log.commanded(vehicle.command_names)
     commands = jnp.zeros((len(log.t), count)) if given is None else jnp.asarray(given)
     wrench = jnp.zeros((len(log.t), 6)) if log.wrench is None else jnp.asarray(log.wrench)
-    wrench = wrench if push is None else wrench + jnp.asarray(push)
     # A gap in the log is one long hold.
     lengths = np.asarray(step_lengths(jnp.asarray(log.t)))
     split = np.ceil(substeps(vehicle, log.dt) * np.maximum(lengths / log.dt - 0.01, 1.0)).astype(int)
@@ -348,8 +374,7 @@ def simulate(
         jnp.asarray(log.t),
         commands,
         wrench,
-        None if water is None else jnp.asarray(water),
-        None if drift is None else jnp.asarray(drift),
+        Disturbing(*(None if one is None else jnp.asarray(one) for one in (push, water, drift))),
         solver,
         jnp.asarray(split),
         max(log.channels.shape[1], asked_for),
