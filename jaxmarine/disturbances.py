@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ._types import DOFS
 
 # Memories of a swell after which nothing is left of it that counts.
-LONG = 40.0
+FORGOTTEN = 40.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RandomWrench:
     - `size` [6]: standard deviation [N, N m], 0 where nothing acts; `memory` [6]: time [s] in which it
       forgets all but 1/e, read where something acts.
     - `swell` [6]: standard deviation of the swell [N, N m]; `period` [s]; `swell_memory` [s]: how long it
-      stays in step with itself.
+      stays in step with itself, as of the filter; after it a correlation of 2/e is left, of 1/e after 2.15.
     - `drift`: standard deviation of a force to the north and to the east [N], each; `drift_memory` [s].
     - `current`: standard deviation of the water's velocity to the north and to the east [m/s], each;
       `current_memory` [s].
@@ -65,8 +65,8 @@ class RandomWrench:
     ) -> Float[np.ndarray, "times 6"]:
         """The swell at times that are so far apart [s]: white noise twice through the filter of this class.
 
-        Of two filters in a row, each of two numbers of which the first comes out. In double precision, which
-        `fitting.Swell`, the same in closed form, has only where JAX does.
+        Of two filters in a row, each of two numbers of which the first comes out; `fitting` has the same in
+        closed form, for JAX.
         """
         assert self.period is not None and self.swell_memory is not None
         frequency, slow = 2 * np.pi / self.period, 1.0 / self.swell_memory
@@ -76,7 +76,7 @@ class RandomWrench:
         noise = np.pad(np.outer(into, into), (0, 2))
         whole = np.asarray(scipy.linalg.solve_continuous_lyapunov(rates, -noise))
         # What was before the first of the times is forgotten: some memories are as good as all.
-        stays = scipy.linalg.expm(np.minimum(gap, LONG * self.swell_memory)[:, None, None] * rates)
+        stays = scipy.linalg.expm(np.minimum(gap, FORGOTTEN * self.swell_memory)[:, None, None] * rates)
         value, way = np.linalg.eigh(whole - stays @ whole @ np.swapaxes(stays, 1, 2))
         # Rounding makes the least one of a short time less than nothing.
         root = way * np.sqrt(np.maximum(value, 0.0))[:, None]

@@ -131,7 +131,7 @@ def test_wind_waves_and_water_go_on_between_samples():
     begin = jm.initial_state(vehicle, attitude=(0.0, 0.0, 0.5))
     ours = np.asarray(jm.simulate(vehicle, log, begin, push=push, drift=drift, water=water).channels)[::4]
     error = unwrapped(ours - run.signals()[:, :, 0])
-    # A mean over 25 ms in the place of a line: of what a push changes in that time a twelfth at most.
+    # A mean over 25 ms in the place of a line: an eighth of what a push changes in that time, at most.
     assert np.abs(error[:, 6:12]).max() < 2e-3 * np.abs(ours[:, 6:12]).max()
 
 

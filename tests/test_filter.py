@@ -232,9 +232,12 @@ def test_a_disturbance_over_a_hold_is_its_integral(share, off):
     np.testing.assert_allclose(over.mean, goes_on[n:], **close)
     np.testing.assert_allclose(over.variance / level, spread[n:, n:] / level, **close)
     np.testing.assert_allclose(over.covariance / level, spread[:n, n:] / level, **close)
+    covariances = [[over.variance, over.covariance.T], [over.covariance, over.new]]
+    assert np.linalg.eigvalsh(np.block(covariances) / np.tile(level, (2, 2)))[0] > -1e-14
     # The states themselves are what they were.
     after = force.after(jnp.asarray(dt), jnp.eye(n))
     np.testing.assert_allclose(after, left(force, dt), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(over.new / level, spread[:n, :n] / level, **close)
     new = force.new(jnp.asarray(dt)) / level
     own = (whole - left(force, dt) @ whole @ left(force, dt).T) / level
     np.testing.assert_allclose(new, own, rtol=0, atol=1e-11)

@@ -849,7 +849,7 @@ def test_an_effect_without_a_slope_is_named_and_nothing_after_it():
     assert not watch.status.undecided
 
 
-def test_columns_that_are_exchanged_are_named_and_kept(tmp_path):
+def test_columns_that_are_exchanged_are_named_and_kept(tmp_path, monkeypatch):
     """A watch that was kept then goes on with them as they are."""
     log = record(boat(), steps(260, 5), seed=7)
     wrong = dataclasses.replace(log, commands=log.commands[:, [1, 0, 2]])
@@ -860,6 +860,10 @@ def test_columns_that_are_exchanged_are_named_and_kept(tmp_path):
     assert [one.label for one in first.named] == ["exchanged_thrusters:port+starboard"]
     _saved.write_state(first, tmp_path / "state", None)
     _saved.restore(second, tmp_path / "state")
+    # One of another program has other numbers in its place.
+    with monkeypatch.context() as patch, pytest.raises(InputError, match="of another version"):
+        patch.setattr(_saved, "FORMAT", _saved.FORMAT - 1)
+        _saved.restore(Watch(boat(), catalogue=SMALL), tmp_path / "state")
     for row in rows[200:]:
         assert first.update(row) == second.update(row)
     for watch in (first, second):

@@ -13,7 +13,7 @@ from ..fitting import (
     Wider,
     count_of,
     improbability,
-    likeliest,
+    likeliest_of,
     start_spread,
     unlearned,
     wider_by,
@@ -115,7 +115,7 @@ def widened(bench: Workbench, model: Model, with_one: Wider) -> Model:
     spread = start_spread(problem.start_precision)
     unit = bench.fine.unit
     worth = float(improbability(spread, every, [beside.force], unit)[0])
-    wider = likeliest(spread, every, with_one(beside.force), unit, worth)
+    wider = likeliest_of(spread, every, with_one(beside.force), unit, worth)
     if wider is None:
         return model
     amid = Beside(wider, beside.path, unlearned(wider))

@@ -42,7 +42,7 @@ from ._filter import filtered as filtered
 from ._filter import free_wrench as free_wrench
 from ._filter import improbability as improbability
 from ._filter import innovations as innovations
-from ._filter import likeliest as likeliest
+from ._filter import likeliest_of as likeliest_of
 from ._filter import lines as lines
 from ._filter import maximise as maximise
 from ._filter import nothing_known as nothing_known

@@ -45,10 +45,10 @@ class Usual(NamedTuple):
 
 
 # Of wind, waves and water: sizes [full thrust] and memories [s]; of a swell the frequency [rad/s] of one with
-# a period of 5 s, and how long it stays in step with itself [s] so that its spectrum is most like that which
-# JONSWAP found on the average.
+# a period of 5 s, and through what angle [rad] it turns in its memory so that of all such spectra its is
+# likest that which JONSWAP found on the average (by Whittle's likelihood, beside noise of a hundredth).
 USUAL_SIZE, USUAL_MEMORY = Usual(0.02, 3.0), Usual(4.0, 1.0)
-SWELL_MEMORY, SWELL_FREQUENCY = Usual(3.0, 1.0), Usual(2 * np.pi / 5, 0.7)
+SWELL_ANGLE, SWELL_FREQUENCY = Usual(3.5, 1.0), Usual(2 * np.pi / 5, 0.7)
 # Of a drift its memory [s], between that of a wrench and that of a current.
 DRIFT_MEMORY = Usual(12.0, 1.0)
 # Of a current that wanders: size [m/s], and memory [s].
@@ -73,7 +73,7 @@ class Kinds(NamedTuple):
 class Disturbance(eqx.Module):
     """A Gauss-Markov wrench on the hull, a swell, a drift, and a current.
 
-    - `size`: standard deviation [N, N m, m/s]; `time`: in which it forgets all but 1/e [s]; `frequency`
+    - `size`: standard deviation [N, N m, m/s]; `time`: its memory, as of `Process` [s]; `frequency`
       [rad/s], 0 of what does not swing. First of the wrench on each axis, then of the swell, of the drift and
       of the current, if there are such; of the last two alike to the north and to the east.
     - `gap`: from the end of the last hold of the window before to the first sample of each window [s], many
@@ -101,6 +101,7 @@ class Disturbance(eqx.Module):
 
     @property
     def parts(self) -> Kinds:
+        """Which of its sizes, times and frequencies are of each kind."""
         n = len(self.axes)
         return Kinds.one_by_one(n, n * self.swells, self.drifts, self.flows)
 
@@ -112,6 +113,7 @@ class Disturbance(eqx.Module):
 
     @property
     def places(self) -> Kinds:
+        """Which of its states are of each kind: one for each number that wanders, four for a swell."""
         n = len(self.axes)
         swell = Swell.STATES * n * self.swells
         return Kinds.one_by_one(n, swell, PLANE * self.drifts, PLANE * self.flows)
@@ -133,7 +135,7 @@ class Disturbance(eqx.Module):
         """
         wrench = [jnp.eye(len(self.axes))]
         if self.swells:
-            wrench.append(jnp.kron(wrench[0], Swell.OUT))
+            wrench.append(jnp.kron(wrench[0], Swell.READ))
         if self.drifts:
             wrench.append(plane)
         flow = jnp.eye(PLANE) if self.flows else jnp.zeros((PLANE, 0))
@@ -161,12 +163,14 @@ class Disturbance(eqx.Module):
     def over(self, dt: Float[Array, ""]) -> Hold:
         """What its states are on the average over a hold of some length [s], which is not nothing."""
         wander, swell = self._each(lambda process: process.over(dt))
-        scales = jnp.ones_like(self.size), self.size**2, self.size**2
-        return Hold(*map(self._on_states, wander, swell or [None] * len(wander), scales))
+        each = [None] * len(wander) if swell is None else swell
+        scales = [jnp.ones_like(self.size), *[self.size**2] * 3]
+        return Hold(*map(self._on_states, wander, each, scales))
 
     def _each(self, of: Callable[[Process], Any]) -> tuple[Any, Any]:
         """Of the processes of all parts, as those that wander, and of that of the swell."""
-        return jax.vmap(lambda time: of(Wander(time)))(self.time), self.swell and of(self.swell)
+        swell = None if self.swell is None else of(self.swell)
+        return jax.vmap(lambda time: of(Wander(time)))(self.time), swell
 
     def _on_states(
         self,
@@ -194,7 +198,8 @@ class Logarithms:
 
     axes: int
 
-    def places(self, force: Disturbance) -> Kinds:
+    def of_kinds(self, force: Disturbance) -> Kinds:
+        """Which of them are of each kind."""
         n = self.axes
         return Kinds.one_by_one(2 * n, (n + 2) * force.swells, 2 * force.drifts, 2 * force.flows)
 
@@ -212,7 +217,7 @@ class Logarithms:
 
     def set(self, force: Disturbance, unit: Array, values: Float[Array, " logarithms"]) -> Disturbance:
         n = self.axes
-        own, swell, drift, current = (jnp.exp(values[place]) for place in self.places(force))
+        own, swell, drift, current = (jnp.exp(values[place]) for place in self.of_kinds(force))
         size, time = [own[:n] * jnp.sqrt(own[n:])], [own[n:]]
         frequency = jnp.zeros_like(force.frequency)
         if force.swells:
@@ -262,8 +267,8 @@ class Logarithms:
         out = USUAL_SIZE.unusual(size[: parts.drift.stop]).sum()
         out += USUAL_MEMORY.unusual(force.time[parts.own]).sum()
         if force.swells:
-            first = parts.swell.start
-            out += SWELL_MEMORY.unusual(force.time[first]) + SWELL_FREQUENCY.unusual(force.frequency[first])
+            time, frequency = (one[parts.swell.start] for one in (force.time, force.frequency))
+            out += SWELL_ANGLE.unusual(time * frequency) + SWELL_FREQUENCY.unusual(frequency)
         out += DRIFT_MEMORY.unusual(force.time[parts.drift]).sum()
         out += USUAL_FLOW.unusual(size[parts.current]).sum()
         return out + FLOW_MEMORY.unusual(force.time[parts.current]).sum()

@@ -200,7 +200,7 @@ def _through(
         half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
         covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
         both = over.covariance @ by.T
-        new = [[by @ over.variance @ by.T, both.T], [both, force.new(dt)]]
+        new = [[by @ over.variance @ by.T, both.T], [both, over.new]]
         covariance = covariance + jnp.block(new)
         return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
 
@@ -691,14 +691,14 @@ def _come_near(
     return best
 
 
-def likeliest(
+def likeliest_of(
     spread: Float[Array, "12"],
     every: Windowed,
     others: Sequence[Disturbance],
     unit: Float[np.ndarray, " axes"],
     worth: float,
 ) -> Disturbance | None:
-    """The likeliest of some disturbances of one kind, if it is likelier than one that is worth so much.
+    """The likeliest of some disturbances of one kind; None if none is likelier than one worth so much.
 
     - `worth`: `improbability` of that. `spread`, `unit`: as of `estimated`.
     """

@@ -1,4 +1,4 @@
-"""Random processes of size one that push on an axis: what wanders, and a swell.
+"""Random processes of size one: what wanders, and a swell.
 
     x' = rate x + kick w,    w white noise,    of which one number comes out with a standard deviation of 1.
 
@@ -8,10 +8,10 @@ Waves push to and fro, and with frequencies far from their peak's hardly at all.
 
     h(s) = s / (s^2 + 2 s / time + 1 / time^2 + frequency^2)
 
-leaves what falls off as the frequency on the one side and as its inverse on the other. The spectrum of a sea
-falls faster, most of all below its peak, where a force moves a craft farthest: there a cause would be looked
-for in what the filter lets through and the sea does not. A swell is what two of them leave, one after the
-other. Each is a pair of numbers, of which the first comes out,
+leaves amplitudes that fall as the frequency below its peak and as its inverse above. Those of a sea fall
+faster, most of all below their peak, where a force moves a craft farthest: there a cause would be looked for
+in what the filter lets through and the sea does not. A swell is what two of them leave, one after the other.
+Each is a pair of numbers, of which the first comes out,
 
     p' = [[-1 / time, -frequency], [frequency, -1 / time]] p + b u,    b ~ (1, 1 / (frequency time)),
 
@@ -32,23 +32,30 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 # Places in [-1, 1] and their weights, for integrals over a hold (Gauss, Legendre): exact to a thousandth of a
-# process' variance where it remembers a thirtieth of a hold and turns less than two turns in one.
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
+# process' variance where its memory is a thirtieth of a hold and it turns less than two turns in one.
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 class Hold(NamedTuple):
     """The mean of a process over a hold: by its first states, and what is new in it.
 
-    - `variance` of what is new in the mean; `covariance` of what is new in the states at the end with that.
+    - `variance` of what is new in the mean; `covariance` of what is new in the states at the end with that;
+      `new`: that of these states. They are sums of products of the same numbers: no rounding and no step
+      that is too long for them makes a variance of any of it less than nothing.
     """
 
     mean: Float[Array, "*parts states states"]
     variance: Float[Array, "*parts states states"]
     covariance: Float[Array, "*parts states states"]
+    new: Float[Array, "*parts states states"]
 
 
 class Process(eqx.Module):
-    """White noise through a filter. `time`: in which it forgets all but 1/e [s]."""
+    """White noise through a filter. `time`: its memory [s], in which the filter forgets all but 1/e.
+
+    After it 1/e is left of what wanders, and 2/e of a swell, as much of which is left as there is after two
+    filters in a row.
+    """
 
     time: eqx.AbstractVar[Float[Array, ""]]
 
@@ -83,9 +90,9 @@ class Process(eqx.Module):
         """
 
         def products(t):
-            """Of what is new so long before the end in the mean, and at the end, with the former."""
-            mean = self.summed(t) @ self.kick / dt
-            return jnp.outer(mean, mean), jnp.outer(self.left(t) @ self.kick, mean)
+            """Of what is new so long before the end in the mean and at the end."""
+            mean, end = self.summed(t) @ self.kick / dt, self.left(t) @ self.kick
+            return jnp.outer(mean, mean), jnp.outer(end, mean), jnp.outer(end, end)
 
         within = jax.vmap(products)(0.5 * dt * (1.0 + NODES))
         # The weights are of an integral from -1 to 1.
@@ -124,9 +131,9 @@ class Swell(Process):
 
     time: Float[Array, ""]
     frequency: Float[Array, ""]
-    # How many states it has, and what comes out of them.
+    # How many states it has, and how it is read from them.
     STATES: ClassVar[int] = 4
-    OUT: ClassVar[np.ndarray] = np.array([0.0, 0.0, 1.0, 0.0])
+    READ: ClassVar[np.ndarray] = np.array([0.0, 0.0, 1.0, 0.0])
 
     @property
     def _slow(self) -> Float[Array, ""]:
@@ -155,7 +162,7 @@ class Swell(Process):
         return jnp.eye(self.STATES) + self._change(t)
 
     def _change(self, t: Float[Array, ""]) -> Float[Array, "4 4"]:
-        """Of its states until some time later [s], with all digits of a short one."""
+        """Of its states until some time later [s], with all digits of its pairs where that is short."""
         rate, drive = -1.0 / self.time + 1j * self.frequency, self._drive
         # The part of the drive that turns as the pairs do adds up; the rest comes and goes.
         quarter = _as_matrix(jnp.array(1j))
@@ -174,7 +181,7 @@ class Swell(Process):
         Of a wave that goes on as cos(frequency t) of the one and sin(frequency t) of the other less.
         """
         rate = _in_a_row(_as_matrix(-1.0 / self.time + 1j * self.frequency), self._drive)
-        return states @ jnp.stack([jnp.asarray(self.OUT), -self.OUT @ rate / self.frequency], axis=1)
+        return states @ jnp.stack([jnp.asarray(self.READ), -self.READ @ rate / self.frequency], axis=1)
 
 
 def _as_matrix(factor: Complex[Array, ""]) -> Float[Array, "2 2"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ._disturbance import (
     DRIFT_MEMORY,
     FLOW_MEMORY,
-    SWELL_MEMORY,
+    SWELL_ANGLE,
     USUAL_FLOW,
     USUAL_MEMORY,
     Disturbance,
@@ -43,8 +43,9 @@ def with_swell(force: Disturbance) -> list[Disturbance]:
         size=force.size.at[force.parts.own].multiply(LEFT),
         time=force.time.at[force.parts.own].max(USUAL_MEMORY.median),
     )
-    size = force.size[force.parts.own]
-    return [_inserted(small, len(size), size, SWELL_MEMORY.median, 2 * np.pi / period) for period in PERIODS]
+    at, size = force.parts.swell.start, force.size[force.parts.own]
+    each = [2 * np.pi / period for period in PERIODS]
+    return [_inserted(small, at, size, SWELL_ANGLE.median / frequency, frequency) for frequency in each]
 
 
 def with_drift(force: Disturbance) -> list[Disturbance]:
@@ -92,7 +93,7 @@ def without_swell(
     force: Disturbance, covariance: Float[np.ndarray, "logarithms logarithms"]
 ) -> tuple[Disturbance, Float[np.ndarray, "some some"]]:
     """The disturbance without the swell that it has, and what is known of the `Logarithms` that are left."""
-    kept = np.delete(np.arange(len(covariance)), Logarithms(len(force.axes)).places(force).swell)
+    kept = np.delete(np.arange(len(covariance)), Logarithms(len(force.axes)).of_kinds(force).swell)
     size, time, frequency = (
         jnp.delete(one, force.parts.swell) for one in (force.size, force.time, force.frequency)
     )

@@ -29,7 +29,7 @@ from ..fitting import (
     drifting,
     estimated,
     flowing,
-    likeliest,
+    likeliest_of,
     nothing_known,
     wider_by,
     with_current,
@@ -409,7 +409,7 @@ class Ledger:
     def _amid(self, with_one: Wider, every: Windowed, found: Estimated) -> tuple[float, Estimated]:
         """What was estimated of a wider disturbance, and what it gains so [nats]."""
         bench, (force, _, worth) = self.bench, found
-        wider = likeliest(bench.spread, every, with_one(force), bench.unit, worth)
+        wider = likeliest_of(bench.spread, every, with_one(force), bench.unit, worth)
         if wider is None or not np.isfinite(worth):
             return -np.inf, found
         amid = estimated(bench.spread, every, wider, bench.unit, UNLEARNED * np.eye(count_of(wider)))

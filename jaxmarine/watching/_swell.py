@@ -91,5 +91,5 @@ def stilled(before: Disturbance, after: Disturbance) -> bool:
 
 def _energy(force: Disturbance) -> float:
     """Variance of a swell's forces ahead and abeam [N^2]."""
-    size = force.size[force.parts.swell]
-    return sum(float(one) ** 2 for one, axis in zip(size, force.axes, strict=False) if axis < 2)
+    size = force.size[force.parts.swell] if force.swells else np.zeros(len(force.axes))
+    return sum(float(one) ** 2 for one, axis in zip(size, force.axes, strict=True) if axis < 2)
