@@ -14,11 +14,11 @@ from tests.boats import boat, record, steps
 DT, SAMPLES, NOISE = 0.1, 2000, 0.01
 
 
-def steered(seed: int, gain: float, push: float = 0.0, lag: int = 0) -> Log:
+def steered(seed: int, gain: float, push: float = 0.0, lag: int = 0, shake: float = 0.0) -> Log:
     """A craft of 50 kg in surge whose speed is held by a proportional pilot that sees its noise.
 
     - `gain` 0: it is steered by sticks instead; `push`: size of a slow force on it [N]; `lag`: samples that
-      the pilot is late.
+      the pilot is late; `shake`: of a stick that acts besides, and then all other sensors show noise.
     """
     rng = np.random.default_rng(seed)
     goals = np.repeat(rng.uniform(-0.8, 0.8, SAMPLES // 40), 40)
@@ -27,10 +27,12 @@ def steered(seed: int, gain: float, push: float = 0.0, lag: int = 0) -> Log:
     for k in range(SAMPLES):
         seen[k] = u + NOISE * rng.normal()
         answer = gain * (goals[k] - seen[max(k - lag, 0)]) if gain else goals[k]
-        commands[k] = np.clip(answer, -1.0, 1.0)
+        commands[k] = np.clip(answer + (shake * rng.normal() if shake else 0.0), -1.0, 1.0)
         force += -force * DT / 5.0 + push * np.sqrt(2 * DT / 5.0) * rng.normal()
         u += DT * (40.0 * commands[k] + force - 40.0 * u) / 50.0
     channels = np.full((SAMPLES, 18), np.nan)
+    if shake:
+        channels[:, :12] = NOISE * rng.normal(size=(SAMPLES, 12))
     channels[:, 6] = seen
     return Log(DT * np.arange(SAMPLES), channels, commands[:, None], None, ("stern",), "log.csv")
 
@@ -41,6 +43,17 @@ def test_a_pilot_is_told_from_sticks(seed, push):
     assert answers(steered(seed, 4.0, push))
     assert answers(steered(seed, 4.0, push, lag=1))
     assert not answers(steered(seed, 0.0, push))
+
+
+def test_a_weak_answer_shows_beside_a_stick_that_shakes_and_among_many_sensors():
+    """It makes up a tenth of the command's changes: without its prior 9 of these 12 logs are told."""
+    assert sum(answers(steered(seed, 4.0, shake=0.12)) for seed in range(12)) >= 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_motion_remembers_of_commands_is_no_answer(seed):
+    """Of a stick that shakes, the speed shows the mean, and where it will be better than it does itself."""
+    assert not answers(steered(seed, 0.0, shake=0.3))
 
 
 def test_sticks_of_a_craft_with_three_thrusters_are_not_feedback():

@@ -17,8 +17,14 @@ from ..logs import Log
 
 # Samples of the past that a command is predicted from, and parts that are left out in turn.
 PAST, PARTS = 2, 24
+# Samples in which means of its past forget all but 1/e.
+LONGER = (4, 16, 64)
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
 PULL = 1e-6
+# Variance of an answer to noise, as a share of that of a command's changes: weak as a rule beside what a new
+# set-point or a turn asks for. So small are its coefficients held to be, or what the regression learns of
+# noise in its many columns would cost more than the answer is worth.
+ANSWERED = 0.02
 # Variance, as a share of that of a command's changes, that is no answer.
 RESTING = 1e-6
 # Probability that a log without feedback looks as if one of its commands answered: then a disturbance
@@ -33,6 +39,10 @@ def answers(log: Log) -> bool:
     """
     if len(log.t) < 4 * PARTS * PAST:
         return False
+    # Here, as they take half a second to import, which a fit has no use for.
+    from scipy.signal import lfilter
+    from scipy.stats import wilcoxon
+
     given = np.asarray(log.wrench if log.commands is None else log.commands, float)
     new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
     seen = log.channels[:, STATE].copy()
@@ -46,13 +56,14 @@ def answers(log: Log) -> bool:
         seen[here, i] = np.unwrap(seen[here, i])
     # What was not measured at a sample is held from the one before, as a controller does.
     seen = _held(seen)
-    past = np.concatenate([np.roll(given, k, axis=0) for k in range(1, PAST + 1)], axis=1)[PAST:]
+    # And its means over longer: a craft's motion has them, and would pass for an answer by them alone.
+    means = [lfilter([1 / many], [1, 1 / many - 1], given, axis=0) for many in LONGER]
+    lagged = [np.roll(given, k, axis=0) for k in range(1, PAST + 1)]
+    past = np.concatenate([*lagged, *(np.roll(mean, 1, axis=0) for mean in means)], axis=1)[PAST:]
     changed = np.diff(seen, axis=0, prepend=seen[:1])
     shown = np.concatenate([np.roll(changed, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
     both = np.concatenate([past, shown], axis=1)
     # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.
-    # Here, as it takes half a second to import, which a fit has no use for.
-    from scipy.stats import wilcoxon
 
     def chance(before: np.ndarray, after: np.ndarray) -> float:
         better = _spread(before) - _spread(after)
@@ -61,8 +72,13 @@ def answers(log: Log) -> bool:
         tested: Any = wilcoxon(better, alternative="greater")
         return float(tested.pvalue)
 
+    # A normal prior: as many coefficients as columns share what is answered. Of its own past, with which its
+    # motion goes, a command has what it likes: else that would pass for an answer.
+    pull = np.repeat([0.0, shown.shape[1] / ANSWERED], [past.shape[1], shown.shape[1]])
+
     def errors(acts: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _errors(past[acts], y[acts]), _errors(both[acts], y[acts])
+        own = np.zeros(past.shape[1])
+        return _errors(past[acts], y[acts], own), _errors(both[acts], y[acts], pull)
 
     acts, moves = (new != 0).any(axis=1), new.any(axis=0)
     new = new[:, moves]
@@ -94,16 +110,22 @@ def _parts(samples: int) -> Int[np.ndarray, " samples"]:
 
 
 def _errors(
-    x: Float[np.ndarray, "samples regressors"], y: Float[np.ndarray, "samples commands"]
+    x: Float[np.ndarray, "samples regressors"],
+    y: Float[np.ndarray, "samples commands"],
+    pull: Float[np.ndarray, " regressors"],
 ) -> Float[np.ndarray, "samples commands"]:
-    """Errors of a linear regression, in each part of a log of one fitted to the others; commands scaled."""
+    """Errors of a linear regression, in each part of a log of one fitted to the others; commands scaled.
+
+    - `pull`: of each coefficient to zero, beside `PULL`: what is left of a command, by what it may be.
+    """
     x = (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)
     x = np.concatenate([x, np.ones((len(x), 1))], axis=1)
     y = y / np.maximum(y.std(axis=0), 1e-12)
+    prior = np.diag(np.append(pull, 0.0)) + PULL * len(x) * np.eye(x.shape[1])
     part, out = _parts(len(x)), np.empty_like(y)
     for k in range(PARTS):
         here, rest = part == k, part != k
-        h = x[rest].T @ x[rest] + PULL * len(x) * np.eye(x.shape[1])
+        h = x[rest].T @ x[rest] + prior
         out[here] = y[here] - x[here] @ np.linalg.solve(h, x[rest].T @ y[rest])
     return out
 
