@@ -10,6 +10,7 @@ import pytest
 
 import jaxmarine as jm
 from experiments import measured_usv as usv
+from jaxmarine.fitting import answers
 
 from .conftest import ROOT
 
@@ -48,6 +49,18 @@ def test_a_quick_run_fits_its_runs_far_better_than_the_published_model(shared, t
     np.testing.assert_allclose(usv.rms(usv.errors(boat, runs)), fitted, rtol=1e-6)
     assert np.linalg.eigvalsh(boat.mass_matrix[np.ix_(usv.AXES, usv.AXES)]).min() > 0
     assert (tmp_path / "test.png").stat().st_size > 10_000
+
+
+def test_runs_under_guidance_are_seen_to_be_under_feedback(shared):
+    """All were steered by a controller, as their folder says; that of path following hides it better."""
+    data = shared / "data" / "vtec-s3-usv"
+    if not data.is_dir():
+        pytest.skip("the measured runs of ../shared/data/vtec-s3-usv are not on this machine")
+    boat = jm.load_vehicle(usv.HERE / "vtec_s3.toml")
+    runs = [run for folder in ("train", "test", "defects") for run in usv.read(data, folder, boat)]
+    told = [run.name for run in runs if answers(run)]
+    assert len(runs) == 17 and len(told) >= 14
+    assert {run.name for run in runs if "guidance" in run.name} <= set(told)
 
 
 def test_directions_of_length_one_push_as_longer_ones_did():

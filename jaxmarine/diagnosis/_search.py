@@ -360,7 +360,7 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     But one that is slow hides what acts for long: that shows beside one that is no slower than usual. And a
     swell hides what swings and keeps in step.
     """
-    ranked, _ = shortlist(bench, model, stats)
+    ranked, with_beginning = shortlist(bench, model, stats)
     paying = _paying(bench, ranked)
     always = [one for one in paying if one.since is None][:SHORTLIST]
     late = [one for one in paying if one.since is not None][:SHORTLIST_BEGUN]
@@ -372,6 +372,10 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     begun = [_joined(bench, model, member, value) for member, value in starts]
     rough = _refined_each(bench, begun, FEW_STEPS)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
+    # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
+    late = _begun(with_beginning, trials)
+    rough = _refined_each(bench, [_joined(bench, model, one, None) for one in late], FEW_STEPS)
+    trials += [trial_of(model, member, one) for member, one in zip(late, rough, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
