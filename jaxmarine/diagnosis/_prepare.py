@@ -12,6 +12,7 @@ from .._types import ALL_CHANNELS, AXES, MOTION
 from ..effects import AbstractEffect, ExchangedThrusters
 from ..fitting import (
     FINEST,
+    USUAL_MEMORY,
     GrossError,
     answers,
     contradiction,
@@ -79,6 +80,11 @@ def speeds_of(parts: Sequence[Float[np.ndarray, "6"]]) -> Float[np.ndarray, "6"]
     return np.where(most < 0, 1.0, most)
 
 
+# Usual memories of a disturbance in which its size is told to a third of itself, as are numbers that forget
+# each other by then (1 / sqrt(9)); in less a cause and a disturbance are not told apart.
+TELLS = 9.0
+
+
 @dataclasses.dataclass(frozen=True)
 class Opened:
     """What a diagnosis begins with: a workbench, the model to start from, the test logs, what to tell.
@@ -87,7 +93,8 @@ class Opened:
     - `exchanged`: columns that are, which the workbench's vehicle has exchanged already; `instead`: other
       pairs that answer as it does, where it is one.
     - `nameless`: whether something that no effect is makes all names worthless.
-    - `feedback`: whether commands answer what was measured, and with it what disturbs the craft.
+    - `feedback`: whether commands answer what was measured, and with it what disturbs the craft, in logs
+      that are long enough to tell that.
     """
 
     bench: Workbench
@@ -135,7 +142,16 @@ def opened_with(
     progress(FITTING)
     begun, told = begun_with(bench, [cause for cause in causes if cause not in exchanged])
     answered = [log for log in logs if answers(log)]
-    notes = [*notes, *doubled, *reviews, *left_out, *stuck(bench), *told, *map(_said, answered)]
+    amid = sum(log.duration for log in logs) >= TELLS * USUAL_MEMORY.median
+    notes = [
+        *notes,
+        *doubled,
+        *reviews,
+        *left_out,
+        *stuck(bench),
+        *told,
+        *(_said(log, amid) for log in answered),
+    ]
     gross = tuple(one.told for one in wrong)
     nameless = any(not one.causes for one in wrong)
     return Opened(
@@ -147,7 +163,7 @@ def opened_with(
         exchanged=exchanged,
         instead=_exchanges(cause for one in wrong for cause in one.instead) if len(exchanged) == 1 else (),
         nameless=nameless,
-        feedback=bool(answered),
+        feedback=bool(answered) and amid,
     )
 
 
@@ -163,10 +179,14 @@ def _exchanges(causes: Iterable[Placed]) -> tuple[Placed, ...]:
     return tuple(cause for cause in causes if isinstance(cause.effect, ExchangedThrusters))
 
 
-def _said(log: Log) -> Note:
-    words = (
-        "commands answer what was measured, as those of an autopilot do; what disturbs the craft is "
-        "estimated with all else, or what it does would be taken for what the thrusters do."
+def _said(log: Log, amid: bool) -> Note:
+    """`amid`: whether what disturbs is part of the model."""
+    words = "commands answer what was measured, as those of an autopilot do; " + (
+        "what disturbs the craft is estimated with all else, or what it does would be taken for what the "
+        "thrusters do."
+        if amid
+        else "the logs are too short to tell what disturbs the craft, which may be taken for what the "
+        "thrusters do; log longer."
     )
     return Note.of(log.name, f"{{log}}: its {words}", f"{{logs}}: their {words}")
 

@@ -372,21 +372,28 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     begun = [_joined(bench, model, member, value) for member, value in starts]
     rough = _refined_each(bench, begun, FEW_STEPS)
     trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
-    # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
-    late = _begun(with_beginning, trials)
-    rough = _refined_each(bench, [_joined(bench, model, one, None) for one in late], FEW_STEPS)
-    trials += [trial_of(model, member, one) for member, one in zip(late, rough, strict=True)]
     trials = [t for t in trials if np.isfinite(t.saved)]
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
     begun = [t.model for t in hopeful] + _hidden(bench, quick, hidden, best) + _in_step(bench, model)
-    # What acts at once spoils more by beginning a second late than it saves.
-    begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in begun]
-    refitted = _refined_each(bench, begun, STEPS, 1)
+    refitted = _placed(bench, begun)
     refitted += _afresh(bench, model, refitted)
     trials = rest + [trial_of(model, one.members[-1], one) for one in refitted]
+    # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
+    late = [_joined(bench, model, one, None) for one in _begun(with_beginning, trials)]
+    trials += [trial_of(model, one.members[-1], one) for one in _placed(bench, late)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def _placed(bench: Workbench, models: Sequence[Model]) -> list[Model]:
+    """Models refitted with their last member from where it begins best, if it has not acted always.
+
+    What acts at once spoils more by beginning a second late than it saves.
+    """
+    return _refined_each(
+        bench, [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in models], STEPS, 1
+    )
 
 
 def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: float) -> list[Model]:
