@@ -6,9 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxmarine._types import SENSORS
 from jaxmarine.diagnosis._disturbed import in_words, known
+from jaxmarine.diagnosis._prepare import opened_with
+from jaxmarine.effects import LinearDamping
 from jaxmarine.fitting import Disturbance, answers, drifting, flowing
 from jaxmarine.logs import Log
+from jaxmarine.simulation import initial_state, simulate
+from tests.boats import NOISE as NOISE_OF
 from tests.boats import boat, record, steps
 
 DT, SAMPLES, NOISE = 0.1, 2000, 0.01
@@ -73,6 +78,22 @@ def test_a_held_heading_shows_in_what_two_thrusters_differ_by(gain):
     channels[:, 11] = seen
     log = Log(DT * np.arange(SAMPLES), channels, commands, None, ("port", "star"), "log.csv")
     assert answers(log) == (gain > 0)
+
+
+@pytest.mark.parametrize(("samples", "amid"), [(300, False), (400, True)])
+def test_half_a_minute_is_too_short_to_tell_what_disturbs_and_says_so(samples, amid):
+    """Nine usual memories are 36 s; of a boat whose commands answer the noise of its speeds."""
+    noise = np.repeat([NOISE_OF.get(kind, np.nan) for kind in SENSORS], 3)
+    noise = noise * np.random.default_rng(1).normal(size=(samples, len(noise)))
+    commands = 0.5 * steps(samples) - 2.0 * noise[:, [6, 7, 11]]
+    t = DT * np.arange(samples)
+    blank = Log(t, np.full((samples, 18), np.nan), commands, None, boat().command_names, "log.csv")
+    clean = np.asarray(simulate(boat(), blank, initial_state(boat())).channels)
+    log = dataclasses.replace(blank, channels=clean + noise)
+    opened = opened_with(boat(), log, dataclasses.replace(log, name="test.csv"), (LinearDamping,), None)
+    assert answers(log) and opened.feedback == amid
+    (said,) = [str(note) for note in opened.notes if "commands answer" in str(note)]
+    assert ("too short to tell what disturbs" in said) == (not amid)
 
 
 def test_logs_that_cannot_tell_are_not_feedback():
