@@ -46,6 +46,9 @@ FEWEST = 6  # windows of a diagnosis
 NEWS = 1.5
 # Noises that are estimated anew, each by what the one before leaves, so many times at most.
 WEIGHINGS = 8
+# Usual memories of a disturbance in which its size is told to a third of itself, as are numbers that forget
+# each other by then (1 / sqrt(9)); in less a cause and a disturbance are not told apart.
+TELLS = 9.0
 
 
 def window_of(logs: Sequence[Log], window: float | None) -> float:
@@ -78,11 +81,6 @@ def speeds_of(parts: Sequence[Float[np.ndarray, "6"]]) -> Float[np.ndarray, "6"]
     """Speeds [m/s, rad/s] at which a craft is integrated, by the `fastest` of its logs; 1 if not measured."""
     most = np.max(parts, axis=0)
     return np.where(most < 0, 1.0, most)
-
-
-# Usual memories of a disturbance in which its size is told to a third of itself, as are numbers that forget
-# each other by then (1 / sqrt(9)); in less a cause and a disturbance are not told apart.
-TELLS = 9.0
 
 
 @dataclasses.dataclass(frozen=True)

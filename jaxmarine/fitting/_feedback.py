@@ -17,6 +17,8 @@ from ..logs import Log
 
 # Samples of the past that a command is predicted from, and parts that are left out in turn.
 PAST, PARTS = 2, 24
+# Samples of fewer are too few for so many parts.
+LEAST = 4 * PARTS * PAST
 # Samples in which means of its past forget all but 1/e.
 LONGER = (4, 16, 64)
 # Pull of the regression's coefficients to zero, per sample: for columns that are nearly the same.
@@ -37,64 +39,86 @@ def answers(log: Log) -> bool:
 
     Better for certain: by the errors in parts of the log that were left out, after Wilcoxon (1945).
     """
-    if len(log.t) < 4 * PARTS * PAST:
+    if len(log.t) < LEAST:
         return False
-    # Here, as they take half a second to import, which a fit has no use for.
-    from scipy.signal import lfilter
-    from scipy.stats import wilcoxon
-
     given = np.asarray(log.wrench if log.commands is None else log.commands, float)
+    seen = _seen(log)
+    if not seen.shape[1]:
+        return False
     new = np.diff(given, axis=0, prepend=given[:1])[PAST:]
+    acts, new = (new != 0).any(axis=1), new[:, new.any(axis=0)]
+    if acts.sum() < LEAST:
+        return False
+    past, shown = _regressors(given, seen)
+    # One that rests, as at its limit, does not say what it would answer, but one that is clipped may. And all
+    # together: an answer may show in the difference of two thrusters alone.
+    before, after = _both_errors(past[acts], shown[acts], new[acts])
+    chances = [_chance(before[:, [i]], after[:, [i]]) for i in range(new.shape[1])]
+    if new.shape[1] > 1:
+        chances.append(_chance(before, after))
+    for y in new.T[:, :, None]:
+        own = y[:, 0] != 0
+        if not np.array_equal(own, acts):
+            enough = own.sum() >= LEAST
+            chances.append(_chance(*_both_errors(past[own], shown[own], y[own])) if enough else 1.0)
+    return min(chances) * len(chances) < CHANCE
+
+
+def _seen(log: Log) -> Float[np.ndarray, "samples channels"]:
+    """What a controller sees of a log's states, those of which most samples are measured."""
     seen = log.channels[:, STATE].copy()
     measured = np.isfinite(seen).mean(axis=0) > 0.5
-    if not measured.any():
-        return False
     seen = seen[:, measured]
     for i in np.flatnonzero(ANGLES[STATE][measured]):
         # A heading that jumps by a turn has not changed.
         here = np.isfinite(seen[:, i])
         seen[here, i] = np.unwrap(seen[here, i])
     # What was not measured at a sample is held from the one before, as a controller does.
-    seen = _held(seen)
-    # And its means over longer: a craft's motion has them, and would pass for an answer by them alone.
+    return _held(seen)
+
+
+def _regressors(
+    given: Float[np.ndarray, "samples commands"], seen: Float[np.ndarray, "samples channels"]
+) -> tuple[Float[np.ndarray, "rows past"], Float[np.ndarray, "rows shown"]]:
+    """At each sample but the first `PAST`: what commands were before, and what was seen of late."""
+    # Here, as it takes half a second to import, which a fit has no use for.
+    from scipy.signal import lfilter
+
+    # With means over longer: a craft's motion has them, and would pass for an answer by them alone.
     means = [lfilter([1 / many], [1, 1 / many - 1], given, axis=0) for many in LONGER]
     lagged = [np.roll(given, k, axis=0) for k in range(1, PAST + 1)]
-    past = np.concatenate([*lagged, *(np.roll(mean, 1, axis=0) for mean in means)], axis=1)[PAST:]
+    past = np.concatenate([*lagged, *(np.roll(mean, 1, axis=0) for mean in means)], axis=1)
     changed = np.diff(seen, axis=0, prepend=seen[:1])
-    shown = np.concatenate([np.roll(changed, k, axis=0) for k in range(PAST)], axis=1)[PAST:]
+    shown = np.concatenate([np.roll(changed, k, axis=0) for k in range(PAST)], axis=1)
+    return past[PAST:], shown[PAST:]
+
+
+def _both_errors(
+    past: Float[np.ndarray, "rows past"],
+    shown: Float[np.ndarray, "rows shown"],
+    y: Float[np.ndarray, "rows commands"],
+) -> tuple[Float[np.ndarray, "rows commands"], Float[np.ndarray, "rows commands"]]:
+    """Errors of commands that are predicted by their past alone, and by what was seen as well.
+
+    A normal prior: as many coefficients as columns share what is answered. Of its own past, with which its
+    motion goes, a command has what it likes: else that would pass for an answer.
+    """
+    own, pull = np.zeros(past.shape[1]), np.full(shown.shape[1], shown.shape[1] / ANSWERED)
     both = np.concatenate([past, shown], axis=1)
+    return _errors(past, y, own), _errors(both, y, np.concatenate([own, pull]))
+
+
+def _chance(before: Float[np.ndarray, "rows commands"], after: Float[np.ndarray, "rows commands"]) -> float:
+    """Probability that errors without an answer are that much smaller by what was seen."""
+    # Here, as in `_regressors`.
+    from scipy.stats import wilcoxon
+
+    better = _spread(before) - _spread(after)
+    if not better.any():
+        return 1.0
     # By ranks: the first seconds of a log, in which a craft is brought to its course, are unlike all others.
-
-    def chance(before: np.ndarray, after: np.ndarray) -> float:
-        better = _spread(before) - _spread(after)
-        if not better.any():
-            return 1.0
-        tested: Any = wilcoxon(better, alternative="greater")
-        return float(tested.pvalue)
-
-    # A normal prior: as many coefficients as columns share what is answered. Of its own past, with which its
-    # motion goes, a command has what it likes: else that would pass for an answer.
-    pull = np.repeat([0.0, shown.shape[1] / ANSWERED], [past.shape[1], shown.shape[1]])
-
-    def errors(acts: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = np.zeros(past.shape[1])
-        return _errors(past[acts], y[acts], own), _errors(both[acts], y[acts], pull)
-
-    acts, moves = (new != 0).any(axis=1), new.any(axis=0)
-    new = new[:, moves]
-    if acts.sum() < 4 * PARTS * PAST:
-        return False
-    # One that rests, as at its limit, does not say what it would answer, but one that is clipped may. And all
-    # together: an answer may show in the difference of two thrusters alone.
-    before, after = errors(acts, new)
-    chances = [chance(before[:, [i]], after[:, [i]]) for i in range(new.shape[1])]
-    if new.shape[1] > 1:
-        chances.append(chance(before, after))
-    for y in new.T[:, :, None]:
-        own = y[:, 0] != 0
-        if not np.array_equal(own, acts):
-            chances.append(chance(*errors(own, y)) if own.sum() >= 4 * PARTS * PAST else 1.0)
-    return min(chances) * len(chances) < CHANCE
+    tested: Any = wilcoxon(better, alternative="greater")
+    return float(tested.pvalue)
 
 
 def _held(seen: Float[np.ndarray, "samples channels"]) -> Float[np.ndarray, "samples channels"]:
