@@ -41,6 +41,7 @@ from experiments.blind.plant import Effect
 from experiments.blind.vehicle import load
 from experiments.rivals import starts
 from jaxmarine.diagnosis import Box, plan
+from jaxmarine.diagnosis._climb import climbed
 from jaxmarine.diagnosis._explanation import Member, Model
 from jaxmarine.diagnosis._plan import HOLD, RANDOM, STAY, WALL, _Causes, _causes, _Flown, _improved, _leaving
 from jaxmarine.diagnosis._prepare import workbench
@@ -122,7 +123,7 @@ def imitation(bench: Workbench, true: int) -> tuple[jm.Placed, float]:
 
     def refitted(suspect: int) -> Model:
         begun = [bench.with_member(model, Member(suspect), value) for value in starts(bench, suspect)]
-        tried = [bench.climbed(bench.refine(one, STEPS, ROUGH), STEPS, ROUGH) for one in begun]
+        tried = [climbed(bench, bench.refine(one, STEPS, ROUGH), STEPS, ROUGH) for one in begun]
         # The model without it where it cannot be fitted.
         sound = [one for one in tried if np.isfinite(one.cost) and bench.sound(one)]
         return min(sound, key=lambda one: one.cost, default=model)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from jaxmarine._types import SENSORS
-from jaxmarine.diagnosis import _amid, _search
+from jaxmarine.diagnosis import _amid, _knots, _search
 from jaxmarine.diagnosis._amid import amid_more
 from jaxmarine.diagnosis._explanation import Beside, Member, Model
 from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
@@ -559,7 +559,7 @@ def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
     t, (log,) = bench.places.t, bench.data.logs
     shapes = np.zeros((*t.shape, 6, 2))
     shapes[..., 0, 0], shapes[..., 5, 1] = np.sin(2 * np.pi * t / 80.0), np.cos(2 * np.pi * t / 7.0)
-    g, h = bench.with_shapes(model, shapes)
+    g, h = _knots.with_shapes(bench, model, shapes)
     step = np.asarray(bench.data.windows.step)
     knot = np.arange(step.shape[1]) * bench.knots // step.shape[1]
 
@@ -575,7 +575,7 @@ def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
         # The slope in standard errors, without that of the determinant along the moved path.
         assert (above - below) / 4 == pytest.approx(g[i - 2] * size, abs=0.1)
     # What lasts is told more than four times too well window by window: as if each began with another one.
-    apart, lasts = bench.with_knots(model), shapes[..., 0].reshape(len(t), -1)
+    apart, lasts = _knots.at_knots(bench, model), shapes[..., 0].reshape(len(t), -1)
     of_windows = apart.h[:, -6 * bench.knots :, -6 * bench.knots :]
     assert 4 * h[-2, -2] < np.einsum("wi,wij,wj->", lasts, of_windows, lasts)
 
@@ -591,7 +591,7 @@ def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
     without[step] -= acts[:, knot]
     on = bench.on((dataclasses.replace(log, wrench=without),))
     spoilt = on.likeliest(dataclasses.replace(model, cost=np.inf))
-    again, lost = on.beside_wrench(spoilt, np.zeros(len(spoilt.z)), acts)
+    again, lost = _knots.beside_wrench(on, spoilt, np.zeros(len(spoilt.z)), acts)
     assert float(spoilt.beside.force.size[0]) > 1.5 * float(model.beside.force.size[0])
     assert np.asarray(again.beside.force.size) == pytest.approx(np.asarray(model.beside.force.size), rel=0.1)
     # Without the wrench the log asks for the larger one.

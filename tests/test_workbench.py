@@ -16,6 +16,7 @@ from jaxmarine._progress import silent
 from jaxmarine._types import DOFS
 from jaxmarine.diagnosis import Criteria, Gain, _answer, _workbench, diagnose
 from jaxmarine.diagnosis._amid import refine_fully
+from jaxmarine.diagnosis._climb import climbed
 from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
@@ -310,7 +311,7 @@ def test_a_late_command_is_found_over_the_steps_that_accelerometers_show(start, 
     log = record(late, steps(400, hold=1), NOISE | {"acceleration": 0.02})
     bench = workbench(craft, (log,), (InputDelay,), None)
     model = bench.with_member(bench.start(), Member(0), np.array([start]))
-    found = bench.climbed(bench.likeliest(model))
+    found = climbed(bench, bench.likeliest(model))
     assert found.z[-1] == pytest.approx(0.82, abs=0.01)
     # A slope alone may lead no further than to the end of a step.
     assert (bench.refine(model).cost > 2 * found.cost) == stuck
@@ -324,7 +325,7 @@ def test_a_command_that_is_late_by_whole_samples_is_found_from_beyond():
     log = record(late, steps(400, hold=4), sensors, seed=4)
     bench = workbench(craft, (log,), (InputDelay,), None)
     stuck = bench.likeliest(bench.with_member(bench.start(), Member(0), np.array([0.34])))
-    found = bench.climbed(stuck)
+    found = climbed(bench, stuck)
     assert found.z[-1] == pytest.approx(0.3, abs=1e-3)
     assert found.cost < 0.5 * stuck.cost
 

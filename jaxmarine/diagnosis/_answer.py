@@ -10,6 +10,7 @@ from ..effects import place
 from ..fitting import with_swell
 from ..vehicle import Placed, Vehicle
 from ._amid import price, widened
+from ._climb import climbed
 from ._couplings import couplings
 from ._explanation import Member, Model
 from ._filed import refiled
@@ -153,7 +154,7 @@ def findings_of(
         if model.beside is not None and left > SHOWN * (without.cost - model.cost):
             # What is left to gain would count as evidence.
             without = bench.likeliest(without, STEPS, EXACT)
-        without = bench.climbed(without, STEPS, ROUGH)
+        without = climbed(bench, without, STEPS, ROUGH)
         if suspect.effect.swings:
             without = _swelling(bench, without)
         saved = 2 * (without.cost + price(bench, without) - model.cost - price(bench, model))

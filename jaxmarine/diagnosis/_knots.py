@@ -7,11 +7,20 @@ swings with a period. No hypothesis needs a simulation of its own.
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
-from ..fitting import Disturbance
-from ._explanation import Model
+from ..fitting import (
+    Disturbance,
+    estimated,
+    free_wrench,
+    improbability,
+    innovations,
+    path_lines,
+    start_spread,
+)
+from ._explanation import Beside, Model
 from ._result import MissingWrench
 from ._score import AbstractStatistics, Reduced, joined, rows, solve, totals
 from ._signals import Places
@@ -19,6 +28,8 @@ from ._workbench import Workbench
 
 # Waves are looked for over this much of a log [s]: swell is hardly in step with itself for longer.
 COHERENT = 1800.0
+# Shapes of a wrench fill the programs up to a multiple of this.
+SHAPES = 64
 
 
 def on_axis(
@@ -123,12 +134,12 @@ class KnotsBeside(Knots):
         return self.model.beside.force
 
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
-        return self.bench.with_shapes(self.model, values)
+        return with_shapes(self.bench, self.model, values)
 
     def where(
         self, step: Float[np.ndarray, " z"], wrench: Float[np.ndarray, "windows knots 6"]
     ) -> "KnotsBeside":
-        model, lost = self.bench.beside_wrench(self.model, step, wrench)
+        model, lost = beside_wrench(self.bench, self.model, step, wrench)
         return dataclasses.replace(self, model=model, lost=self.lost + lost)
 
 
@@ -139,8 +150,82 @@ def knots(bench: Workbench, model: Model) -> Knots:
     places = bench.places
     signals = places.through_water(bench.water(model), places.signals)
     places = dataclasses.replace(places, signals=signals)
-    own = bench.with_knots(model), known.shape[1], precision, offset, bench.vehicle.free, places
+    own = at_knots(bench, model), known.shape[1], precision, offset, bench.vehicle.free, places
     return Knots(*own) if model.beside is None else KnotsBeside(*own, bench, model)
+
+
+def at_knots(bench: Workbench, model: Model) -> AbstractStatistics:
+    """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window.
+
+    Beside a disturbance what is left of the latter, and of the chi-square, once it is filtered out.
+    """
+    if model.beside is None:
+        return bench.keeper.of_windows(bench, bench.screening(model)[0])
+    problem, affine = bench.along(model)
+    parts = bench.fine.parts
+    group = jnp.arange(bench.room.windows * parts) // parts
+    found = free_wrench(
+        problem,
+        affine,
+        model.beside.force,
+        model.beside.path,
+        bench.knots // parts,
+        parts,
+        group,
+        bench.room.windows,
+    )
+    given, width = affine.acts.shape[1], len(model.z)
+    kept = np.concatenate([np.arange(width), given + np.arange(6 * bench.knots + 1)])
+    h = np.asarray(found)[: bench.count][:, kept[:, None], kept]
+    return Reduced(h[:, -1, -1], h[:, :-1, -1], h[:, :-1, :-1])
+
+
+def with_shapes(
+    bench: Workbench, model: Model, shapes: Float[np.ndarray, "windows knots 6 shapes"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and information of z, then of the sizes of wrenches of given shapes at the knots.
+
+    Beside the model's disturbance, over all windows, each given all before it.
+    """
+    assert model.beside is not None
+    problem, affine = bench.along(model)
+    count = shapes.shape[-1]
+    fill = SHAPES * -(-max(count, 1) // SHAPES) - count
+    room = _of_parts(bench, np.pad(shapes, [(0, 0)] * 3 + [(0, fill)]))
+    group = jnp.asarray(np.arange(len(room)) >= bench.fine.count, int)
+    found = innovations(problem, affine, model.beside.force, model.beside.path, group, 1, room)
+    kept = np.concatenate([np.arange(len(model.z)), affine.acts.shape[1] + np.arange(count)])
+    g = np.asarray(found.g)[: bench.fine.count].sum(axis=0)
+    return g[kept], np.asarray(found.h)[0][kept[:, None], kept]
+
+
+def beside_wrench(
+    bench: Workbench,
+    model: Model,
+    step: Float[np.ndarray, " z"],
+    wrench: Float[np.ndarray, "windows knots 6"],
+) -> tuple[Model, float]:
+    """The model beside the disturbance that suits the logs after a step of z with a wrench at the knots.
+
+    And the nats by which they are less likely beside it as the model is, without either.
+    """
+    assert model.beside is not None
+    beside, unit = model.beside, bench.fine.unit
+    problem, without = bench.lines(model, beside)
+    spread = start_spread(problem.start_precision)
+    _, affine = bench.along(dataclasses.replace(model, z=model.z + step))
+    every = path_lines(problem, affine, beside.force, beside.path, _of_parts(bench, wrench))
+    force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
+    now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)
+    before, after = improbability(spread, without, [beside.force, force], unit)
+    return now, 0.5 * float(after - before)
+
+
+def _of_parts(bench: Workbench, at_knots: Float[np.ndarray, "windows knots *values"]) -> Array:
+    """What is given at the knots of whole windows, for the windows cut up, then zeros."""
+    parts, most = bench.fine.parts, len(bench.fine.group)
+    cut_up = at_knots.reshape(bench.count * parts, bench.knots // parts, *at_knots.shape[2:])
+    return jnp.asarray(np.pad(cut_up, [(0, most - len(cut_up))] + [(0, 0)] * (cut_up.ndim - 1)))
 
 
 def missing_wrench(k: Knots) -> MissingWrench:

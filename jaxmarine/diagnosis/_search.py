@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from .._progress import FOUND, MOST_ROUNDS, Progress, in_round, silent
 from ._amid import amid_more, calmed, disturbed, hurried, price, suited
+from ._climb import climbed
 from ._explanation import Beginning, Member, Model
 from ._fine import STRAIGHT
 from ._knots import knots, wave_start
@@ -216,7 +217,7 @@ def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | 
 
 def _refined_each(bench: Workbench, models: Sequence[Model], steps: int, times: int = 0) -> list[Model]:
     """Models refined roughly, the last member of each on the best of its stairs."""
-    return [bench.climbed(one, steps, ROUGH, True) for one in bench.refine_each(models, steps, ROUGH, times)]
+    return [climbed(bench, one, steps, ROUGH, True) for one in bench.refine_each(models, steps, ROUGH, times)]
 
 
 def _trials(
@@ -234,7 +235,7 @@ def _trials(
     sample = bench.sampled(model)
     best = max([t.saved for t in before if np.isfinite(t.saved)], default=0.0) / sample.every
     found = _refitted(sample.bench, sample.model, starts, best, sample.every)
-    fitted = [sample.whole(model, sample.bench.climbed(t.model, STEPS, ROUGH, True)) for t in found]
+    fitted = [sample.whole(model, climbed(sample.bench, t.model, STEPS, ROUGH, True)) for t in found]
     trials = [trial_of(model, one.members[-1], one) for one in fitted]
     return [t for t in trials if bench.sound(t.model)]
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ._climb import climbed
 from ._coefficients import settle
 from ._dropped import HARMFUL, REPLACED, gone, needless
 from ._explanation import Model
@@ -40,10 +41,10 @@ def pruned(bench: Workbench, model: Model) -> Model:
     for i, where in enumerate(bench.slices(model.members)):
         least = needed(bench, model.members[i], own_dispersion(bench, model, stats, where, phi))
         less = bench.likeliest(bench.without_member(model, i), FEW_STEPS, ROUGH, 1)
-        climbed = bench.climbed(less)
-        if climbed is less and sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
+        higher = climbed(bench, less)
+        if higher is less and sound and 2 * (less.promised - model.cost) > OBVIOUS * least:
             continue
-        less = bench.likeliest(climbed)
+        less = bench.likeliest(higher)
         idle = 2 * (less.cost - model.cost) < least
         if idle or (not sound and np.isfinite(less.cost) and bench.sound(less)):
             return pruned(bench, less)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,8 +33,6 @@ from ..fitting import (
     cut,
     estimated,
     evaluated,
-    free_wrench,
-    improbability,
     innovations,
     maximise,
     measured_channels,
@@ -58,7 +55,7 @@ from ._fine import Fine, parts_of
 from ._keeper import HERE, AbstractKeeper, Outline, Part, seen_of
 from ._possible import braked, braking_holds, of_a_craft, water_of
 from ._saturated import Layout, SaturatedPlant
-from ._score import AbstractStatistics, Reduced, joined
+from ._score import Reduced, joined
 from ._signals import PlacedAt, Places, largest_commands, placed_at, places
 
 # Room for parameters in the compiled refinement: coefficients of the file, members and one suspect. With
@@ -87,18 +84,11 @@ FEW_STEPS, ROUGH = 3, 1e-4
 ESTIMATES, LIKELIER = 4, 0.5
 # Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
 TOO_FAR = 4.0
-# Steps of a staircase that are climbed at most: 2 s of delay at 10 Hz.
-STAIRS = 20
-# Of a step: how far beyond its edge the next one is entered, and what rounding makes of an edge.
-BEYOND = 0.01
-ROUNDED = 1e-9
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
 # for the noise.
 KNOT = 0.5
-# Shapes of a wrench fill the programs up to a multiple of this.
-SHAPES = 64
 
 # Arguments of a workbench's constructor that another one takes over from it.
 _OWN = ("vehicle", "families", "layout", "data", "noise", "split", "own_noise", "filed", "criteria", "part")
@@ -509,46 +499,6 @@ class Workbench:
                 return model if model.cost < before.cost else before
         return model
 
-    def climbed(self, model: Model, max_steps: int = 25, rtol: float = EXACT, last: bool = False) -> Model:
-        """A refined model with what is a staircase on the step that costs least.
-
-        What is shown at a sample changes by steps with some parameters; no slope leads from one to the next.
-
-        - `last`: of the last member alone.
-        """
-        stairs = [
-            where.start + list(suspect.slots).index(name)
-            for member, where in zip(model.members, self.slices(model.members), strict=True)
-            for suspect in [self.layout.suspects[member.suspect]]
-            for name in suspect.effect.stairs
-            if not last or member is model.members[-1]
-        ]
-        if not stairs:
-            return model
-        dt = float(np.median([log.dt for log in self.data.logs]))
-        own = np.unique(self.vehicle.thrusters.delay)
-        filed = float(own[0]) if len(own) == 1 else 0.0
-        spacing = np.concatenate([np.diff(log.t) for log in self.data.logs])
-        uneven = len(own) > 1 or bool((np.abs(spacing - dt) > BEYOND * dt).any())
-        # What is least on a step often lies at its edge: one enters the next where it begins, as from its
-        # middle a refinement may come back over the edge. Where these are uneven a whole sample may lead on.
-        for place, up in itertools.product(stairs, (1, -1)):
-            for _ in range(STAIRS):
-                step = np.ceil((filed + model.z[place]) / dt - ROUNDED)
-                edge = (step + BEYOND if up > 0 else step - 1.0 - BEYOND) * dt - filed
-                moved = (
-                    dataclasses.replace(model, z=np.where(np.arange(len(model.z)) == place, goal, model.z))
-                    for goal in (edge, model.z[place] + up * dt)[: 1 + uneven]
-                    if filed + goal >= 0
-                )
-                tried = (self.refine(one, max_steps, rtol) for one in moved)
-                less = (o for o in tried if o.cost < model.cost - LIKELIER and self.sound(o))
-                better = next(less, None)
-                if better is None:
-                    break
-                model = better
-        return model
-
     def undisturbed(self, model: Model) -> Model:
         """The model as it is for white noise alone, with windows that begin as suits it best."""
         if model.beside is None:
@@ -750,7 +700,7 @@ class Workbench:
         chi-square is minus twice the logarithm of the likelihood of each given all before it. Raises
         `InputError` where the vehicle runs away along the logs.
         """
-        found = self._screening(model)[1] if model.beside is None else self._innovated(model)
+        found = self.screening(model)[1] if model.beside is None else self._innovated(model)
         if not np.isfinite(found.h).all():
             raise runaway(self.data.logs[0].name, self.vehicle.name)
         return found
@@ -777,76 +727,6 @@ class Workbench:
             np.asarray(found.h)[:count],
         )
 
-    def with_knots(self, model: Model) -> AbstractStatistics:
-        """Of each window, for z, then for a free wrench on the hull in each of `knots` parts of a window.
-
-        Beside a disturbance what is left of the latter, and of the chi-square, once it is filtered out.
-        """
-        if model.beside is None:
-            return self.keeper.of_windows(self, self._screening(model)[0])
-        problem, affine = self.along(model)
-        parts = self.fine.parts
-        group = jnp.arange(self.room.windows * parts) // parts
-        found = free_wrench(
-            problem,
-            affine,
-            model.beside.force,
-            model.beside.path,
-            self.knots // parts,
-            parts,
-            group,
-            self.room.windows,
-        )
-        given, width = affine.acts.shape[1], len(model.z)
-        kept = np.concatenate([np.arange(width), given + np.arange(6 * self.knots + 1)])
-        h = np.asarray(found)[: self.count][:, kept[:, None], kept]
-        return Reduced(h[:, -1, -1], h[:, :-1, -1], h[:, :-1, :-1])
-
-    def with_shapes(
-        self, model: Model, shapes: Float[np.ndarray, "windows knots 6 shapes"]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient and information of z, then of the sizes of wrenches of given shapes at the knots.
-
-        Beside the model's disturbance, over all windows, each given all before it.
-        """
-        assert model.beside is not None
-        problem, affine = self.along(model)
-        count = shapes.shape[-1]
-        fill = SHAPES * -(-max(count, 1) // SHAPES) - count
-        room = self._of_parts(np.pad(shapes, [(0, 0)] * 3 + [(0, fill)]))
-        group = jnp.asarray(np.arange(len(room)) >= self.fine.count, int)
-        found = innovations(problem, affine, model.beside.force, model.beside.path, group, 1, room)
-        kept = np.concatenate([np.arange(len(model.z)), affine.acts.shape[1] + np.arange(count)])
-        g = np.asarray(found.g)[: self.fine.count].sum(axis=0)
-        return g[kept], np.asarray(found.h)[0][kept[:, None], kept]
-
-    def beside_wrench(
-        self,
-        model: Model,
-        step: Float[np.ndarray, " z"],
-        wrench: Float[np.ndarray, "windows knots 6"],
-    ) -> tuple[Model, float]:
-        """The model beside the disturbance that suits the logs after a step of z with a wrench at the knots.
-
-        And the nats by which they are less likely beside it as the model is, without either.
-        """
-        assert model.beside is not None
-        beside, unit = model.beside, self.fine.unit
-        problem, without = self.lines(model, beside)
-        spread = start_spread(problem.start_precision)
-        _, affine = self.along(dataclasses.replace(model, z=model.z + step))
-        every = path_lines(problem, affine, beside.force, beside.path, self._of_parts(wrench))
-        force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
-        now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)
-        before, after = improbability(spread, without, [beside.force, force], unit)
-        return now, 0.5 * float(after - before)
-
-    def _of_parts(self, at_knots: Float[np.ndarray, "windows knots *values"]) -> Array:
-        """What is given at the knots of whole windows, for the windows cut up, then zeros."""
-        parts, most = self.fine.parts, len(self.fine.group)
-        cut_up = at_knots.reshape(self.count * parts, self.knots // parts, *at_knots.shape[2:])
-        return jnp.asarray(np.pad(cut_up, [(0, most - len(cut_up))] + [(0, 0)] * (cut_up.ndim - 1)))
-
     def _own_columns(self, model: Model) -> np.ndarray:
         """The model's z and the knots among the columns of a screening."""
         known, _, _ = self.known(model)
@@ -871,7 +751,7 @@ class Workbench:
                 at += width
         return Affine(jnp.asarray(self.theta(model)), jnp.asarray(columns), jnp.asarray(acts))
 
-    def _screening(self, model: Model) -> tuple[Any, Reduced]:
+    def screening(self, model: Model) -> tuple[Any, Reduced]:
         """The statistics of groups, and those of `screened` where the windows lie.
 
         The last one is kept: screening and missing wrench are commonly asked of the same model.
