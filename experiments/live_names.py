@@ -71,7 +71,7 @@ def named(row: Row) -> list[str]:
 
 def table(rows: list[Row]) -> str:
     """What stands in `docs/live.md`, as Markdown."""
-    out = ["| steered by | hidden | logs | same names | a watch names nothing | and more | and others |"]
+    out = ["| steered by | hidden | logs | same names | a watch names nothing | and more | otherwise |"]
     out.append("| --- | --- | --- | --- | --- | --- | --- |")
     for one in summary(rows):
         if one["logs"]:

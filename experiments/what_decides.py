@@ -394,8 +394,8 @@ def differs(own: Row, other: Row) -> bool:
 def table(s: Row) -> str:
     """The summary as Markdown."""
     lines = [
-        f"{s['logs']} logs, {s['seen']} of them with nothing hidden or detectable, of which {s['right']} are "
-        "answered wholly right by default.",
+        f"{s['logs']} logs, {s['seen']} of them with nothing hidden or something detectable, of which "
+        f"{s['right']} are answered wholly right by default.",
         *([f"Rows are by {len(s['programs'])} programs."] if len(s["programs"]) > 1 else []),
         "",
         "| criterion | default | by | made once more | other names | right | points | lost | won |",

@@ -221,9 +221,9 @@ def test_the_page_says_what_was_found():
     )
     assert words.format(*losses[:2], sure[0], losses[2], sure[1]) in lines
     blind = np.array(scores["model without the command, test"]["confusion"])[:, 1].sum()
-    assert f"`AddWeight` is the likeliest state of {blind} of the 75 runs" in lines
+    assert f"`weight` is the likeliest state of {blind} of the 75 runs" in lines
     normal = scores[auv.LEFT_OUT]["confusion"][0]
-    assert f"{normal[1]} of {sum(normal)} normal ones are likeliest to be `AddWeight`" in lines
+    assert f"{normal[1]} of {sum(normal)} normal ones are likeliest to be `weight`" in lines
     voltage = "the voltage to the power of {:.1f} ± {:.1f}".format(*found["parameters"]["voltage exponent"])
     assert f"{voltage}, and a push of {found['parameters']['force at 0 s'][0]:.0f} N/kg at the start" in lines
 
