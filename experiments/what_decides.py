@@ -41,7 +41,7 @@ from jaxmarine.diagnosis import (
     _shared,
     _unnamed,
 )
-from jaxmarine.diagnosis._search import trial_of
+from jaxmarine.diagnosis._search import Trial
 from jaxmarine.diagnosis._workbench import Workbench
 
 SHARE = 0.3
@@ -215,7 +215,7 @@ MOVES = {
             (
                 _coefficients,
                 "_instead",
-                lambda _, model, member, __: (model, (trial_of(model, member, model),)),
+                lambda _, model, member, __: (model, (Trial(member, model, 0.0),)),
                 # What else was weighed there are a finding's alternatives.
                 lambda args, out: out[0] is not args[1] or len(out[1]) > 1,
             ),

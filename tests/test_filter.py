@@ -93,12 +93,11 @@ def windows_of(
 
 def joined_up(every: Windowed, force: Disturbance):
     """Information by the columns and the determinants' logarithm of all windows, by the filter."""
-    passed = jax.vmap(lambda line: _filter.filtered(line, force))(every.line)
     message = _filter.nothing_known(force, COLUMNS)
     information, log_det = 0.0, 0.0
     for w in range(len(every.gap)):
-        window, here = jax.tree.map(lambda a, w=w: a[w], (every, passed))
-        more, log, message = window.after(message, here, force, jnp.asarray(SPREAD))
+        window = jax.tree.map(lambda a, w=w: a[w], every)
+        more, log, message = window.informed(message, force, jnp.asarray(SPREAD))
         information, log_det = information + more, log_det + log
     return np.asarray(information), float(log_det)
 
@@ -187,11 +186,12 @@ def dense(every: Windowed, force: Disturbance) -> tuple[np.ndarray, np.ndarray]:
     for w in range(count):
         window = jax.tree.map(lambda a, w=w: np.asarray(a[w]), every)
         turn = np.linalg.pinv(window.line.begin)
-        ahead = -before.copy()
-        ahead[3:7] *= np.where(before[3:7, -1] @ window.start[3:7] < 0, -1.0, 1.0)
+        signs = np.ones((13, 1))
+        signs[3:7] = np.where(before[3:7, -1] @ window.start[3:7] < 0, -1.0, 1.0)
+        ahead = -signs * before
         ahead[:, -1] += window.start
         if window.joined:
-            changes, sure = turn @ state, turn @ (known + ahead)
+            changes, sure = turn @ (signs * state), turn @ (signs * known + ahead)
         else:
             changes, sure = np.zeros((12, news)), np.zeros((12, COLUMNS))
             changes[:, at : at + 12], sure[:, -1] = np.diag(SPREAD), window.delta
@@ -295,6 +295,27 @@ def test_the_filter_is_the_dense_gaussian(joined, gap, kind):
     assert information[-1, -1] + log_det + constant == pytest.approx(exact, rel=1e-10)
 
 
+def test_an_attitude_is_the_same_by_a_quaternion_of_either_sign():
+    """What is told of the middle one of three windows that go on, by all four numbers with another sign."""
+    every, force = windows_of([False, True, True], [1e6, 0.0, 0.0], ALL)
+    sign = np.ones((3, 13))
+    sign[1, 3:7] = -1.0
+    both = np.concatenate([sign, np.ones((3, AXES + PLANE))], axis=1)
+    other = eqx.tree_at(
+        lambda w: (w.line.f, w.line.h, w.line.begin, w.states, w.end),
+        every,
+        (
+            every.line.f * sign[:, None, :, None] * both[:, None, None],
+            every.line.h * both[:, None, None],
+            every.line.begin * sign[..., None],
+            every.states * sign[:, None],
+            every.end * sign[..., None],
+        ),
+    )
+    for mine, its in zip(joined_up(every, force), joined_up(other, force), strict=True):
+        np.testing.assert_allclose(mine, its, rtol=1e-10, atol=1e-10)
+
+
 def test_a_disturbance_of_no_size_is_none():
     """What is left is white noise and a free start."""
     every, force = windows_of([False, True], [1e6, 0.0])
@@ -390,8 +411,8 @@ def test_a_curvature_that_is_none_is_not_handed_on(disturbed, monkeypatch):
         found.hess_inv = np.diag([-1.0, *np.ones(len(found.x) - 1)])
         return found
 
-    problem, every = bench.lines(model, model.beside)
-    given = _filter.start_spread(problem.start_precision), every, model.beside.force, bench.fine.unit
+    every = bench.lines(model)
+    given = bench.spread, every, model.beside.force, bench.fine.unit
     monkeypatch.setattr(_filter.optimize, "minimize", failed)
     _, covariance, _ = _filter.estimated(*given, model.beside.covariance)
     np.testing.assert_array_equal(covariance, model.beside.covariance)
@@ -403,8 +424,8 @@ def test_a_curvature_that_is_none_is_not_handed_on(disturbed, monkeypatch):
 def test_sizes_that_are_far_off_are_found_soon(disturbed, monkeypatch, factor):
     """Where they were found from near, in at most 5 looks for each number (by slopes alone in 6 to 10)."""
     bench, model = disturbed
-    problem, every = bench.lines(model, model.beside)
-    spread, near = _filter.start_spread(problem.start_precision), model.beside.force
+    every = bench.lines(model)
+    spread, near = bench.spread, model.beside.force
     looks, sloped = [], _filter._sloped
     monkeypatch.setattr(_filter, "_sloped", lambda *given: looks.append(1) or sloped(*given))
     far = dataclasses.replace(near, size=factor * near.size)
@@ -470,7 +491,7 @@ def test_a_wave_that_keeps_in_step_is_likelier_than_the_swell_that_hides_it():
     found = bench.likeliest(begun, 12, 1e-4, 1)
     assert not found.beside.force.swells
     assert swell.cost - found.cost > _search.prior_nats(bench, found.members[-1]) + np.log(150)
-    named = _search.trial_of(swell, found.members[-1], found).parameters(bench)
+    named = _search.trial_of(swell, found).parameters(bench)
     for name in ("north", "east", "period"):
         assert abs(named[name]) == pytest.approx(abs(float(getattr(wave, name))), rel=0.05)
     assert _search._in_step(bench, model) == []
@@ -531,7 +552,7 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     """Against central differences of it, along a coefficient of the file, with the path held."""
     bench, model = disturbed
     free = dataclasses.replace(model, frozen=False)
-    likely = bench._likelihood(free, model.beside.force)
+    likely = bench._likelihood(free)
     path, h = model.beside.path, 0.2 * bench.base[0].prior
 
     def of(step: float):
@@ -601,7 +622,7 @@ def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
 def test_a_path_that_runs_away_is_no_step(disturbed):
     """A measured log led to a path at 1e119 with a likelihood of exp(4e99), both of them finite."""
     bench, model = disturbed
-    likely = bench._likelihood(model, model.beside.force)
+    likely = bench._likelihood(model)
     z, path, solver = jnp.zeros(SLOTS), model.beside.path, _filter.FilterGaussNewton()
     found = _filter._improbable((z, path), likely)[1]
     far = eqx.tree_at(lambda f: f.path.delta, found, found.path.delta.at[3, 11].set(1e50))
@@ -623,7 +644,7 @@ def test_a_log_with_a_gap_is_two_logs(disturbed):
         on = bench.on(logs)
         model = on.refine(_amid.disturbed(on, on.frozen(on.start())))
         # What a window without a next one does over a gap is of no use, and may grow beyond all bounds.
-        assert np.asarray(on.lines(model, model.beside)[1].line.dt).max() == pytest.approx(0.1)
+        assert np.asarray(on.lines(model).line.dt).max() == pytest.approx(0.1)
         return on.screen(model)
 
     one, two = screened((rows(np.r_[before, after]),)), screened((rows(before), rows(after)))

@@ -21,7 +21,7 @@ from jaxmarine.diagnosis._diagnose import _missed
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._filed import base_coefficients, refiled
 from jaxmarine.diagnosis._judge import Judged
-from jaxmarine.diagnosis._knots import Knots, wave_start
+from jaxmarine.diagnosis._knots import Knots, at_knots, wave_start
 from jaxmarine.diagnosis._noises import missed_by
 from jaxmarine.diagnosis._prepare import fitted, named_apart, rescaled, sharpened, workbench
 from jaxmarine.diagnosis._saturated import saturate
@@ -215,7 +215,7 @@ def test_every_knot_of_a_slow_log_has_two_samples():
 def test_the_last_knot_of_a_slow_log_shows():
     bench = workbench(boat(), (record(boat(), steps(), dt=1.0),), CATALOGUE, None)
     width = len(bench.start().z)
-    shown = np.diagonal(bench.with_knots(bench.start()).h[:, width:, width:], axis1=1, axis2=2)
+    shown = np.diagonal(at_knots(bench, bench.start()).h[:, width:, width:], axis1=1, axis2=2)
     assert (shown.reshape(bench.count, 6, 6)[..., boat().free > 0] > 0.0).all()
 
 
@@ -439,6 +439,12 @@ def test_logs_of_one_name_are_told_apart_and_a_log_tested_on_itself_keeps_its_ow
     assert notes == ["Another log is called log.csv too; this one is `log.csv (2)` here."]
     _, (test,), _ = named_apart((one,), (other,))
     assert test.name == "log.csv (2)"
+    # A log that is the second of its name is that in the test as well; and no log is given another's name.
+    _, (test,), _ = named_apart((one, other), (other,))
+    assert test.name == "log.csv (2)"
+    taken = dataclasses.replace(one, name="log.csv (2)")
+    (*_, last), _, _ = named_apart((one, taken, other), ())
+    assert last.name == "log.csv (3)"
 
 
 def test_a_diagnosis_without_logs_or_in_single_precision_is_refused(monkeypatch):

@@ -14,7 +14,6 @@ from ..fitting import (
     count_of,
     improbability,
     likeliest_of,
-    start_spread,
     unlearned,
     wider_by,
     with_current,
@@ -111,9 +110,7 @@ def widened(bench: Workbench, model: Model, with_one: Wider) -> Model:
     """The model beside a wider disturbance, refined; as it is where that is no likelier to begin with."""
     beside = model.beside
     assert beside is not None
-    problem, every = bench.lines(model, beside)
-    spread = start_spread(problem.start_precision)
-    unit = bench.fine.unit
+    every, spread, unit = bench.lines(model), bench.spread, bench.fine.unit
     worth = float(improbability(spread, every, [beside.force], unit)[0])
     wider = likeliest_of(spread, every, with_one(beside.force), unit, worth)
     if wider is None:

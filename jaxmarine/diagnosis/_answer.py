@@ -20,7 +20,7 @@ from ._score import lasting, root, solve
 from ._search import STEPS, Round, evidence, putting_back
 from ._workbench import EXACT, ROUGH, Workbench
 
-# Causes listed beside a finding, and those that may be marked as no worse; the report shows all of its round.
+# Causes listed beside a finding that may be marked as no worse, and others; the report shows its whole round.
 MOST_CLOSE, OTHERS = 2, 4
 # By what share evidence may be too large: it is compared in nats, and hundreds of them are as sure as can be.
 SHOWN = 0.01
@@ -37,10 +37,14 @@ def extended_by(bench: Workbench, model: Model, dense: bool) -> Vehicle:
     for member, where in zip(model.members, bench.slices(model.members), strict=True):
         suspect = bench.layout.suspects[member.suspect]
         effect = place(suspect, vehicle, _stated(bench, member, model.z[where]))
-        since = None if member.since is None else member.since.time
-        name = None if member.since is None else bench.data.logs[member.since.log].name
-        placed.append(Placed(effect, suspect.target, since, name))
+        placed.append(Placed(effect, suspect.target, *_since(bench, member)))
     return vehicle.place(*placed) if placed else vehicle
+
+
+def _since(bench: Workbench, member: Member) -> tuple[float | None, str | None]:
+    """Since when a member acts [s], and of which log; None: always."""
+    begins = member.since
+    return (None, None) if begins is None else (begins.time, bench.data.logs[begins.log].name)
 
 
 def _stated(bench: Workbench, member: Member, z: np.ndarray) -> dict[str, float]:
@@ -149,32 +153,38 @@ def findings_of(
             name: Parameter(value, float(s), suspect.effect.units[name])
             for (name, value), s in zip(values.items(), std[where], strict=True)
         }
-        without = bench.likeliest(bench.without_member(model, i), STEPS, ROUGH)
-        left = ROUGH * max(bench.samples, 2 * without.cost)
-        if model.beside is not None and left > SHOWN * (without.cost - model.cost):
-            # What is left to gain would count as evidence.
-            without = bench.likeliest(without, STEPS, EXACT)
-        without = climbed(bench, without, STEPS, ROUGH)
-        if suspect.effect.swings:
-            without = _swelling(bench, without)
-        saved = 2 * (without.cost + price(bench, without) - model.cost - price(bench, model))
-        if not np.isfinite(saved):
-            # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
-            saved = float(putting_back(bench, model, now.stats, where).sum())
-        own = evidence(bench, member, saved, phi)
-        since = member.since
+        own = evidence(bench, member, _saved_by(bench, now, i, where), phi)
+        since, since_log = _since(bench, member)
         out.append(
             Finding(
                 effect=suspect.effect.name,
                 target=suspect.target,
-                since=None if since is None else since.time,
-                since_log=None if since is None else bench.data.logs[since.log].name,
+                since=since,
+                since_log=since_log,
                 parameters=parameters,
                 log_evidence=own,
                 alternatives=alternatives(bench, member, named, phi, rounds, own),
             )
         )
     return tuple(out)
+
+
+def _saved_by(bench: Workbench, now: Judged, which: int, where: slice) -> float:
+    """Chi-square that a member saves beside all others; `where`: its parameters in z."""
+    model = now.model
+    without = bench.likeliest(bench.without_member(model, which), STEPS, ROUGH)
+    left = ROUGH * max(bench.samples, 2 * without.cost)
+    if model.beside is not None and left > SHOWN * (without.cost - model.cost):
+        # What is left to gain would count as evidence.
+        without = bench.likeliest(without, STEPS, EXACT)
+    without = climbed(bench, without, STEPS, ROUGH)
+    if bench.layout.suspects[model.members[which].suspect].effect.swings:
+        without = _swelling(bench, without)
+    saved = 2 * (without.cost + price(bench, without) - model.cost - price(bench, model))
+    if np.isfinite(saved):
+        return saved
+    # Without it the vehicle cannot be simulated along the log: the linearisation still tells.
+    return float(putting_back(bench, model, now.stats, where).sum())
 
 
 def _swelling(bench: Workbench, model: Model) -> Model:
@@ -228,15 +238,15 @@ def weighed(bench: Workbench, one: Round) -> tuple[Weighed, ...]:
     """A round's ranking for the report."""
     out = []
     for trial in one.trials:
-        since = trial.member.since
+        since, since_log = _since(bench, trial.member)
         out.append(
             Weighed(
                 label=bench.layout.suspects[trial.member.suspect].label,
                 log_evidence=evidence(bench, trial.member, trial.saved, one.phi),
                 saved_chi2=float(trial.saved),
                 parameters=trial.parameters(bench),
-                since=None if since is None else since.time,
-                since_log=None if since is None else bench.data.logs[since.log].name,
+                since=since,
+                since_log=since_log,
             )
         )
     return tuple(out)

@@ -34,7 +34,7 @@ def climbed(
     if not stairs:
         return model
     dt = float(np.median([log.dt for log in bench.data.logs]))
-    own = np.unique(bench.vehicle.thrusters.delay)
+    own = np.unique(bench.vehicle.plant().drive.delay)
     filed = float(own[0]) if len(own) == 1 else 0.0
     spacing = np.concatenate([np.diff(log.t) for log in bench.data.logs])
     uneven = len(own) > 1 or bool((np.abs(spacing - dt) > BEYOND * dt).any())

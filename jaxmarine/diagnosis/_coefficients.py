@@ -145,7 +145,7 @@ def _instead(bench: Workbench, model: Model, member: Member, phi: float) -> tupl
     bent = dataclasses.replace(bench.without_member(model, which), frozen=False, held=held)
     less = bench.refine(bent)
     same = bench.refine(bench.with_member(dataclasses.replace(less, delta=model.delta), member, value))
-    own = trial_of(less, member, same)
+    own = trial_of(less, same)
     others = [t for t in weigh(bench, less, bench.screen(less)) if t.member.suspect != member.suspect]
     trials = by_evidence(bench, less, own, others, phi)
     best = next(t for t in trials if t is own or bench.stands(t.model, less))

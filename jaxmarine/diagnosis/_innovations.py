@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.signal import lfilter
 
 from .._types import ALL_CHANNELS
-from ..fitting import Affine, estimated, innovations, path_lines, start_spread, whitened
+from ..fitting import Affine, estimated, innovations, path_lines, whitened
 from ._explanation import Model
 from ._workbench import SLOTS, Workbench
 
@@ -79,11 +79,8 @@ def log_score(bench: Workbench, model: Model, weathers: int = WEATHERS) -> float
     scores = []
     for time in range(weathers):
         if time:
-            every, spread = (
-                path_lines(problem, nothing, force, path),
-                start_spread(problem.start_precision),
-            )
-            force, covariance, _ = estimated(spread, every, force, fine.unit, covariance, far=True)
+            every = path_lines(problem, nothing, force, path)
+            force, covariance, _ = estimated(bench.spread, every, force, fine.unit, covariance, far=True)
         found = innovations(problem, nothing, force, path, group, 1)
         for _ in range(PASSES - 1):
             found = innovations(problem, nothing, force, found.path, group, 1)

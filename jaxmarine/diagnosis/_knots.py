@@ -18,7 +18,6 @@ from ..fitting import (
     improbability,
     innovations,
     path_lines,
-    start_spread,
 )
 from ._explanation import Beside, Model
 from ._result import MissingWrench
@@ -211,9 +210,8 @@ def beside_wrench(
     """
     assert model.beside is not None
     beside, unit = model.beside, bench.fine.unit
-    problem, without = bench.lines(model, beside)
-    spread = start_spread(problem.start_precision)
-    _, affine = bench.along(dataclasses.replace(model, z=model.z + step))
+    without, spread = bench.lines(model), bench.spread
+    problem, affine = bench.along(dataclasses.replace(model, z=model.z + step))
     every = path_lines(problem, affine, beside.force, beside.path, _of_parts(bench, wrench))
     force, learned, _ = estimated(spread, every, beside.force, unit, beside.covariance)
     now = dataclasses.replace(model, beside=Beside(force, beside.path, learned), cost=np.inf)

@@ -272,15 +272,16 @@ def named_apart(
 
     A test log keeps the name of the training log that it is.
     """
-    met, out, notes = dict[str, int](), [], []
+    out, notes = list[Log](), []
     for number, log in enumerate((*logs, *tests)):
         twin = next((one for one in out[: len(logs)] if number >= len(logs) and same_log(one, log)), None)
-        count = met[log.name] = met.get(log.name, 0) + 1
-        if count > 1 and twin is None:
+        name, count = log.name if twin is None else twin.name, 1
+        while twin is None and name in {one.name for one in out}:
+            count += 1
             name = f"{log.name} ({count})"
+        if count > 1:
             notes.append(f"Another log is called {log.name} too; this one is `{name}` here.")
-            log = dataclasses.replace(log, name=name)
-        out.append(log)
+        out.append(dataclasses.replace(log, name=name))
     return tuple(out[: len(logs)]), tuple(out[len(logs) :]), notes
 
 

@@ -1,7 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -195,9 +195,9 @@ def _swinging(bench: Workbench, model: Model, suspect: int, least: float) -> lis
     return [(Member(suspect), value - bench.layout.neutral_of(suspect))] if promised > least else []
 
 
-def trial_of(model: Model, member: Member, refitted: Model) -> Trial:
-    """By what a refit with one member more saves."""
-    return Trial(member, refitted, 2 * (model.cost - refitted.cost))
+def trial_of(model: Model, refitted: Model) -> Trial:
+    """By what a refit with one member more, the last, saves."""
+    return Trial(refitted.members[-1], refitted, 2 * (model.cost - refitted.cost))
 
 
 def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | None) -> Model:
@@ -220,6 +220,23 @@ def _refined_each(bench: Workbench, models: Sequence[Model], steps: int, times: 
     return [climbed(bench, one, steps, ROUGH, True) for one in bench.refine_each(models, steps, ROUGH, times)]
 
 
+def _roughly(
+    bench: Workbench, model: Model, starts: Sequence[tuple[Member, np.ndarray | None]], steps: int
+) -> list[Trial]:
+    """Suspects after a few steps of a refit, those that can be refitted."""
+    begun = [_joined(bench, model, member, value) for member, value in starts]
+    trials = [trial_of(model, one) for one in _refined_each(bench, begun, steps)]
+    return [t for t in trials if np.isfinite(t.saved)]
+
+
+def _leading(ranked: Iterable[Member]) -> list[tuple[Member, np.ndarray | None]]:
+    """The first of some suspects at neutral, of those that act always and of those that begin."""
+    some = list(ranked)
+    always = [one for one in some if one.since is None][:SHORTLIST]
+    late = [one for one in some if one.since is not None][:SHORTLIST_BEGUN]
+    return [(one, None) for one in (*always, *late)]
+
+
 def _trials(
     bench: Workbench,
     model: Model,
@@ -236,7 +253,7 @@ def _trials(
     best = max([t.saved for t in before if np.isfinite(t.saved)], default=0.0) / sample.every
     found = _refitted(sample.bench, sample.model, starts, best, sample.every)
     fitted = [sample.whole(model, climbed(sample.bench, t.model, STEPS, ROUGH, True)) for t in found]
-    trials = [trial_of(model, one.members[-1], one) for one in fitted]
+    trials = [trial_of(model, one) for one in fitted]
     return [t for t in trials if bench.sound(t.model)]
 
 
@@ -251,10 +268,7 @@ def _refitted(
 
     - `best`: what the best of others saves; `every`: one of so many windows are these.
     """
-    begun = [_joined(bench, model, member, value) for member, value in starts]
-    refitted = _refined_each(bench, begun, TELLING)
-    trials = [trial_of(model, member, one) for (member, _), one in zip(starts, refitted, strict=True)]
-    trials = [t for t in trials if np.isfinite(t.saved)]
+    trials = _roughly(bench, model, starts, TELLING)
     hopeful = HOPEFUL * max([best, *(t.saved for t in trials)])
     leading = HOPEFUL * max([best, *(2 * (model.cost - t.model.promised) for t in trials)])
     trials.sort(key=lambda t: t.model.promised)
@@ -280,7 +294,7 @@ def _refitted(
     for i, other in zip(anew, afresh, strict=True):
         fitted[i] = min(fitted[i], other, key=lambda m: (not bench.sound(m), m.cost))
     for i, one in fitted.items():
-        trials[i] = trial_of(model, trials[i].member, one)
+        trials[i] = trial_of(model, one)
     return trials
 
 
@@ -362,28 +376,22 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     swell hides what swings and keeps in step.
     """
     ranked, with_beginning = shortlist(bench, model, stats)
-    paying = _paying(bench, ranked)
-    always = [one for one in paying if one.since is None][:SHORTLIST]
-    late = [one for one in paying if one.since is not None][:SHORTLIST_BEGUN]
-    starts: list[tuple[Member, np.ndarray | None]] = [(one, None) for one in (*always, *late)]
+    starts = _leading(_paying(bench, ranked))
     starts += probes(bench, model, max(ranked.values(), default=0.0))
     quick = hurried(model)
     hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
-    begun = [_joined(bench, model, member, value) for member, value in starts]
-    rough = _refined_each(bench, begun, FEW_STEPS)
-    trials = [trial_of(model, member, one) for (member, _), one in zip(starts, rough, strict=True)]
-    trials = [t for t in trials if np.isfinite(t.saved)]
+    trials = _roughly(bench, model, starts, FEW_STEPS)
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if t.saved > HOPEFUL * best]
     rest = [t for t in trials if t.saved <= HOPEFUL * best]
     begun = [t.model for t in hopeful] + _hidden(bench, quick, hidden, best) + _in_step(bench, model)
     refitted = _placed(bench, begun)
     refitted += _afresh(bench, model, refitted)
-    trials = rest + [trial_of(model, one.members[-1], one) for one in refitted]
+    trials = rest + [trial_of(model, one) for one in refitted]
     # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
     late = [_joined(bench, model, one, None) for one in _begun(with_beginning, trials)]
-    trials += [trial_of(model, one.members[-1], one) for one in _placed(bench, late)]
+    trials += [trial_of(model, one) for one in _placed(bench, late)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
@@ -406,7 +414,7 @@ def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: floa
         return []
     joined = [_joined(bench, quick, one, None) for one in hidden]
     without, *refitted = _refined_each(bench, [quick, *joined], FEW_STEPS)
-    return [one for one in refitted if trial_of(without, one.members[-1], one).saved > HOPEFUL * best]
+    return [one for one in refitted if trial_of(without, one).saved > HOPEFUL * best]
 
 
 def _in_step(bench: Workbench, model: Model) -> list[Model]:
@@ -447,7 +455,9 @@ def _bent_far(bench: Workbench, model: Model) -> bool:
 def begun_at_best(bench: Workbench, model: Model, which: int, least: float, steps: int) -> Model:
     """The model with a member that begins at the time that costs least, from half a window to `least` [s].
 
-    - `steps`: of each refit. As it is where the member always acts.
+    As it is where the member always acts.
+
+    - `steps`: of each refit.
     """
     since = model.members[which].since
     if since is None:
@@ -483,9 +493,7 @@ def _paying(bench: Workbench, ranked: dict[Member, float]) -> list[Member]:
 def _weighed(bench: Workbench, model: Model, stats: Reduced, progress: Progress) -> list[Trial]:
     """The most promising suspects, each refitted beside what the model has."""
     ranked, begun = shortlist(bench, model, stats)
-    always = [member for member in ranked if member.since is None][:SHORTLIST]
-    late = [member for member in ranked if member.since is not None][:SHORTLIST_BEGUN]
-    trials = _trials(bench, model, [(member, None) for member in (*always, *late)])
+    trials = _trials(bench, model, _leading(ranked))
     trials += _trials(bench, model, [(member, None) for member in _begun(begun, trials)], trials)
     best = max([t.saved for t in trials], default=0.0)
     # Where there is none, the file's coefficients bent until they mean nothing, perhaps to what has no slope.
@@ -549,7 +557,7 @@ def _freed(bench: Workbench, model: Model, trials: Sequence[Trial]) -> list[Tria
     out = []
     for trial in trials:
         free = bench.refine(dataclasses.replace(trial.model, frozen=False), STEPS, ROUGH)
-        out.append(trial_of(model, trial.member, free))
+        out.append(trial_of(model, free))
     return [t for t in out if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
@@ -629,7 +637,7 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
             exact = bench.likeliest(begun_at_best(bench, exact, -1, dt, FEW_STEPS))
         if not bench.stands(exact, model):
             continue
-        winner = trial_of(model, exact.members[-1], exact)
+        winner = trial_of(model, exact)
         after = bench.screen(exact)
         phi = dispersion(bench, exact, after)
         if not significant(bench, winner, after, phi):
@@ -650,7 +658,10 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
 def by_evidence(
     bench: Workbench, model: Model, winner: Trial, others: Sequence[Trial], phi: float
 ) -> list[Trial]:
-    """All trials, the best by evidence first; those that may be as good as the winner refitted to the end."""
+    """All trials, the best by evidence first.
+
+    Those that may be as good as the winner are refitted to the end, and left out where they cannot stand.
+    """
     least = evidence(bench, winner.member, winner.saved, phi) - bench.criteria.close
     out = [winner]
     for trial in others:
@@ -659,7 +670,7 @@ def by_evidence(
             exact = bench.likeliest(trial.model)
             if not bench.stands(exact, model):
                 continue
-            trial = trial_of(model, trial.member, exact)
+            trial = trial_of(model, exact)
         out.append(trial)
     return sorted(out, key=lambda t: -evidence(bench, t.member, t.saved, phi))
 

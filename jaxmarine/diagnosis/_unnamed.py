@@ -141,10 +141,7 @@ def _simulated(bench: Workbench, vehicle: Vehicle, longest: int) -> Float[np.nda
         begun = tuple(p for p in vehicle.placed if p.since is None or p.since_log not in later)
         # All as long as the longest, or each would compile a program of its own.
         run = simulate(dataclasses.replace(vehicle, placed=begun), _going_on(log, longest), start)
-        here = number == i
-        nu = np.asarray(run.states.velocity)[: len(log.t)]
-        for axis in range(6):
-            out[here, :, axis] = np.interp(log.t[sample[here]], log.t, nu[:, axis])
+        out[number == i] = np.asarray(run.states.velocity)[sample[number == i]]
     return out
 
 

@@ -22,7 +22,6 @@ from ..fitting import (
     Affine,
     Check,
     Cut,
-    Disturbance,
     Likelihood,
     Problem,
     Room,
@@ -429,7 +428,7 @@ class Workbench:
         z = self._padded(model.z)
         damping = float(np.clip(model.damping, LEAST_DAMPING, MOST_DAMPING))
         if model.beside is not None:
-            likely = self._likelihood(model, model.beside.force)
+            likely = self._likelihood(model)
             path = model.beside.path
             out = maximise(likely, jnp.asarray(z), path, max_steps, rtol, self.samples, damping)
             moved = dict[str, Any](beside=dataclasses.replace(model.beside, path=out.path))
@@ -445,19 +444,25 @@ class Workbench:
         damping = float(out.damping)
         return dataclasses.replace(model, z=z, cost=cost, promised=promised, damping=damping, **moved)
 
-    def _likelihood(self, model: Model, force: Disturbance) -> Likelihood:
+    def _likelihood(self, model: Model) -> Likelihood:
+        assert model.beside is not None
         problem = self.problem(model.members, self.fine.problem)
-        return Likelihood(problem, self.affine(model.members), self.task_prior(model), force)
+        return Likelihood(problem, self.affine(model.members), self.task_prior(model), model.beside.force)
 
     def along(self, model: Model) -> tuple[Problem, Affine]:
         """The windows cut up for the filter, and the map of changes of z."""
         problem = self.problem(model.members, self.fine.problem)
         return problem, self.affine(model.members).at(jnp.asarray(self._padded(model.z)))
 
-    def lines(self, model: Model, beside: Beside) -> tuple[Problem, Windowed]:
-        """The windows cut up for the filter, as they are and as linear systems along a path."""
-        problem, affine = self.along(model)
-        return problem, path_lines(problem, affine, beside.force, beside.path)
+    def lines(self, model: Model) -> Windowed:
+        """The windows cut up for the filter, as linear systems along the model's path."""
+        assert model.beside is not None
+        return path_lines(*self.along(model), model.beside.force, model.beside.path)
+
+    @property
+    def spread(self) -> Float[Array, "12"]:
+        """Standard deviation of a window's first state beside a disturbance."""
+        return start_spread(self._problem.start_precision)
 
     def promised(self, models: Sequence[Model]) -> list[float]:
         """The cost that a step of each promises: beside a disturbance the next, else the one after it."""
@@ -466,7 +471,7 @@ class Workbench:
 
         def of(model: Model) -> float:
             assert model.beside is not None
-            likely = self._likelihood(model, model.beside.force)
+            likely = self._likelihood(model)
             z = jnp.asarray(self._padded(model.z))
             cost = float(promise(likely, z, model.beside.path, LEAST_DAMPING))
             cost += 0.5 * unusual(model.beside.force, self.fine.unit)
@@ -487,10 +492,8 @@ class Workbench:
                 break
             beside = model.beside
             step = rtol * max(self.samples, 2 * model.cost)
-            problem, every = self.lines(model, beside)
-            spread = start_spread(problem.start_precision)
             known = beside.force, self.fine.unit, beside.covariance
-            force, learned, _ = estimated(spread, every, *known, enough=step, far=True)
+            force, learned, _ = estimated(self.spread, self.lines(model), *known, enough=step, far=True)
             # What a model misses makes the likelihood curve as it will not once that has a name.
             missed = 2 * model.cost > TOO_FAR * self.samples
             now = Beside(force, beside.path, beside.covariance if missed else learned)
@@ -561,7 +564,10 @@ class Workbench:
         return dataclasses.replace(model, frozen=True)
 
     def as_filed(self, model: Model) -> Model:
-        """The model with the file's coefficients at their values, and windows that begin as measured."""
+        """The model with the file's coefficients at their values, and windows that begin as measured.
+
+        Beside a disturbance its path stays.
+        """
         z = np.concatenate([np.zeros(len(self.base)), model.z[len(self.base) :]])
         delta = self.keeper.keep(self, as_measured)
         return dataclasses.replace(model, z=z, delta=delta, cost=np.inf, damping=LEAST_DAMPING)
@@ -585,7 +591,7 @@ class Workbench:
         """The same with the columns as the vehicle file has them, or as causes of ours exchange these."""
         return self._like(vehicle=self.filed.place(*otherwise))
 
-    def beside(self, filed: Vehicle) -> "Workbench":
+    def against(self, filed: Vehicle) -> "Workbench":
         """The same with another vehicle as filed, whose placed effects its own has first."""
         return self._like(filed=filed, room=self.room)
 
@@ -763,7 +769,7 @@ class Workbench:
         return self._screened[1:]
 
     def screened(self, model: Model) -> tuple[Reduced, Reduced]:
-        """Statistics of `screen` of groups of windows, and of `with_knots` of each, beside white noise."""
+        """Statistics of `screen` of groups of windows, and of each at the knots, beside white noise."""
         size, affine = self.layout.size, self._every_column(model)
         asked = self._own_columns(model)
         room = np.zeros((len(asked), SLOTS + 6 * self.knots))

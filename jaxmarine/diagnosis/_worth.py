@@ -38,7 +38,7 @@ def gain_of(
     # Columns that are exchanged are no suspect with a number: all else is fitted beside them.
     exchanged = [cause for cause in causes if isinstance(cause.effect, ExchangedThrusters)]
     opened = opened_with(vehicle.place(*exchanged), train, test, catalogue, None)
-    bench, names = opened.bench.beside(vehicle), [log.name for log in opened.bench.data.logs]
+    bench, names = opened.bench.against(vehicle), [log.name for log in opened.bench.data.logs]
     model = bench.start()
     for cause in causes:
         if isinstance(cause.effect, ExchangedThrusters):

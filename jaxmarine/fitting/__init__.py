@@ -38,7 +38,6 @@ from ._filter import Message as Message
 from ._filter import Path as Path
 from ._filter import Windowed as Windowed
 from ._filter import estimated as estimated
-from ._filter import filtered as filtered
 from ._filter import free_wrench as free_wrench
 from ._filter import improbability as improbability
 from ._filter import innovations as innovations

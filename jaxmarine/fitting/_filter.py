@@ -6,8 +6,8 @@ a memory (`_disturbance.py`) acts on it.
 A filter goes along the path about which the residuals are linearised, sample by sample, with the craft's
 state and this disturbance as its own. What it does to the residuals it does to their derivatives too, so that
 their sums are those of white noise: minus twice the logarithm of the likelihood is the chi-square of the
-innovations and the logarithm of their determinants. Each window begins with any state, but with the wrench
-that the one before has left: conditioned on it all windows are filtered side by side, and joined afterwards.
+innovations and the logarithm of their determinants. Each window begins with any state, or where the one
+before lets one expect, but always with the wrench that this has left.
 
 The path is a causal prediction: each window begins as the one before lets one expect. A path that follows the
 samples themselves goes with their noise and with the disturbance, and biases what is fitted along it.
@@ -32,7 +32,7 @@ from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
 from ._disturbance import Disturbance, Logarithms, by_plane
 from ._linearise import BATCH, added, of_filled, swept
-from ._parts import in_parts, joined, part_of
+from ._parts import part_of
 from ._rollout import LOOSE, TIGHT, Problem
 from ._rows import Rows
 from ._windows import PLANE, Trail
@@ -50,8 +50,6 @@ COMING, NEAR, SHRINKING = 6, 0.1, 0.01
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
 CURVED = 1e-10
-# Windows that are filtered side by side: one after another each would wait for single numbers.
-TOGETHER = 80
 # Windows that are held as linear systems at once at most: one with 150 columns takes 110 kB, and 250 kB more
 # while it is filtered.
 HELD = 640
@@ -96,27 +94,10 @@ class Line(eqx.Module):
         return jnp.linalg.solve(self.begin.T @ self.begin, self.begin.T)
 
 
-class Passed(eqx.Module):
-    """A window filtered, given the state and the wrench with which it begins.
-
-    Columns: what is asked for, twelve changes of the first state, the disturbance's first states, and 1.
-
-    - `information`: of the whitened residuals by the columns; `log_det` of their covariance.
-    - `last`: by the columns, how far state and disturbance, the 13 numbers of the one and behind them those
-      of the other, are below those of the path without a disturbance after its last hold; `covariance` of
-      these `joint` numbers.
-    """
-
-    information: Float[Array, "columns columns"]
-    log_det: Float[Array, ""]
-    last: Float[Array, "joint columns"]
-    covariance: Float[Array, "joint joint"]
-
-
 class Message(eqx.Module):
     """What is known of state and disturbance where a window ends, by the columns that stay.
 
-    They are `joint`, as of `Passed`.
+    They are `joint`: the 13 numbers of the state, and behind them those of the disturbance.
 
     - `mean`: how far these are below those of the path without one, which ends at `end`; `covariance`.
     """
@@ -159,7 +140,7 @@ def line_of(rows: Rows, z: int, push: Float[Array, " pushes"], force: Disturbanc
 
 
 class Begun(NamedTuple):
-    """State and disturbance (`joint`, as of `Passed`) at a sample: how far below the path's, by some columns.
+    """State and disturbance (`joint`, see `Message`) at a sample: how far below the path's, by some columns.
 
     - `log_det`: of the covariance of all that was measured before.
     """
@@ -170,30 +151,26 @@ class Begun(NamedTuple):
 
 
 def _through(
-    line: Line, residual: Float[Array, "steps rows columns"], force: Disturbance, begin: Begun
+    line: Line, force: Disturbance, begin: Begun
 ) -> tuple[Begun, Float[Array, "steps rows columns"]]:
-    """Where a window ends, and its whitened residuals, each given all before it; `residual`: as of `line`."""
+    """Where a window ends, and its whitened residuals, each given all before it."""
     pushes = jax.vmap(force.output)(line.by_plane)
 
     def by_states(by: Float[Array, "steps rows driven"]) -> Float[Array, "steps rows joint"]:
         return jnp.concatenate([by[..., :13], by[..., 13:] @ pushes], axis=-1)
 
-    @jax.checkpoint
     def step(carry: Begun, now):
         f, h, residual, dt = now
-
-        def sensor(carry: Begun, now):
-            mean, covariance, log_det = carry
-            row, seen = now
-            spread = covariance @ row
-            variance = row @ spread + 1.0
-            error = seen - row @ mean
-            mean = mean + jnp.outer(spread / variance, error)
-            covariance = covariance - jnp.outer(spread, spread / variance)
-            return Begun(mean, covariance, log_det + jnp.log(variance)), error / jnp.sqrt(variance)
-
-        # One sensor after another, whose noises are independent: no factorisation for a few numbers.
-        (mean, covariance, log_det), white = jax.lax.scan(sensor, carry, (h, residual))
+        mean, covariance, log_det = carry
+        # All sensors of a sample at once, whose noises have a size of one.
+        by_rows = h @ covariance
+        root = jnp.linalg.cholesky(by_rows @ h.T + jnp.eye(len(h)))
+        both = jnp.concatenate([by_rows, residual - h @ mean], axis=1)
+        told, white = jnp.split(
+            jax.scipy.linalg.solve_triangular(root, both, lower=True), [len(covariance)], axis=1
+        )
+        mean, covariance = mean + told.T @ white, covariance - told.T @ told
+        log_det = log_det + 2.0 * jnp.log(jnp.diagonal(root)).sum()
         by, over = f[:, 13:], force.over(dt)
         f = jnp.concatenate([f[:, :13], by @ over.mean], axis=1)
         mean = jnp.concatenate([f @ mean, force.after(dt, mean[13:])])
@@ -204,51 +181,7 @@ def _through(
         covariance = covariance + jnp.block(new)
         return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
 
-    return jax.lax.scan(step, begin, (by_states(line.f), by_states(line.h), residual, line.dt))
-
-
-def filtered(line: Line, force: Disturbance) -> Passed:
-    """A window filtered, given the state and the disturbance with which it begins."""
-    states, given = force.states, line.residual.shape[-1] - 1
-    first = 12 + states
-    mean = jnp.zeros((13 + states, given + first + 1))
-    mean = mean.at[:13, given : given + 12].set(line.begin)
-    mean = mean.at[13:, given + 12 : given + first].set(jnp.eye(states))
-    nothing = jnp.zeros((*line.h.shape[:2], first))
-    residual = jnp.concatenate([line.residual[..., :given], nothing, line.residual[..., given:]], axis=-1)
-    begin = Begun(mean, jnp.zeros((13 + states, 13 + states)), jnp.zeros(()))
-    (mean, covariance, log_det), white = _through(line, residual, force, begin)
-    white = white.reshape(-1, mean.shape[1])
-    return Passed(white.T @ white, log_det, mean, covariance)
-
-
-def _passed_on(
-    passed: Passed,
-    mean: Float[Array, "first columns"],
-    covariance: Float[Array, "first first"],
-    end: Float[Array, "13 columns"],
-) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
-    """The information and the determinant of a window that begins so, and what it tells the next."""
-    first = len(covariance)
-    given = passed.information.shape[0] - first - 1
-    e = np.arange(given, given + first)
-    rest = np.delete(np.arange(given + first + 1), e)
-    # As if it began with the mean, which goes with the columns that stay: mean (z, 1), and something new.
-    of_e, own = passed.information[np.ix_(e, rest)], passed.information[np.ix_(e, e)]
-    slope = of_e + own @ mean
-    # Regular where a disturbance has no size.
-    whole = jnp.eye(first) + own @ covariance
-    gain = covariance @ jnp.linalg.inv(whole)
-    gain = 0.5 * (gain + gain.T)
-    by_e = passed.last[:, e]
-    after = Message(
-        mean=passed.last[:, rest] + by_e @ (mean - gain @ slope),
-        covariance=passed.covariance + by_e @ gain @ by_e.T,
-        end=end,
-    )
-    information = passed.information[np.ix_(rest, rest)] + of_e.T @ mean
-    information = information + mean.T @ slope - slope.T @ gain @ slope
-    return information, passed.log_det + jnp.linalg.slogdet(whole)[1], after
+    return jax.lax.scan(step, begin, (by_states(line.f), by_states(line.h), line.residual, line.dt))
 
 
 def nothing_known(force: Disturbance, columns: int) -> Message:
@@ -323,8 +256,11 @@ class Windowed(eqx.Module):
     @property
     def alone(self) -> "Windowed":
         """Nothing asked for but the residuals."""
-        alone = self.line.residual[..., -1:], self.end[..., -1:]
-        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, alone)
+        return self.told(self.line.residual[..., -1:], self.end[..., -1:])
+
+    def told(self, residual: Array | np.ndarray, end: Array | np.ndarray) -> "Windowed":
+        """With other residuals and another end, by what is asked for."""
+        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, (residual, end))
 
     @classmethod
     def of(cls, rows: Rows, z: int, path: Path, force: Disturbance, index) -> "Windowed":
@@ -345,11 +281,14 @@ class Windowed(eqx.Module):
             joined=force.joined[index],
         )
 
+    def signs(self, message: Message) -> Float[Array, "13"]:
+        """Of states as the window before has them: quaternions of both signs are one attitude."""
+        sign = jnp.where(message.end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0)
+        return jnp.ones(13).at[3:7].set(sign)
+
     def ahead(self, message: Message) -> Float[Array, "12 columns"]:
         """By how many changes its first state is above that with which the path before it ended."""
-        # Quaternions of both signs are one attitude.
-        sign = jnp.where(message.end[3:7, -1] @ self.start[3:7] < 0, -1.0, 1.0)
-        end = message.end.at[3:7].multiply(sign)
+        end = self.signs(message)[:, None] * message.end
         return self.line.back @ (-end).at[:, -1].add(self.start)
 
     def begun(
@@ -357,7 +296,9 @@ class Windowed(eqx.Module):
     ) -> tuple[Float[Array, "first columns"], Float[Array, "first first"]]:
         """Mean and covariance of the twelve changes of its first state, and of the disturbance's first."""
         carried = jnp.zeros((12 + force.states, 13 + force.states))
-        carried = carried.at[:12, :13].set(jnp.where(self.joined, self.line.back, 0.0))
+        carried = carried.at[:12, :13].set(
+            jnp.where(self.joined, self.line.back * self.signs(message)[None], 0.0)
+        )
         carried = carried.at[12:, 13:].set(force.after(self.gap, jnp.eye(force.states)))
         free = jnp.zeros((12, message.end.shape[1])).at[:, -1].set(self.delta)
         new = jnp.diag(jnp.where(self.joined, 0.0, spread**2)), force.new(self.gap)
@@ -365,13 +306,25 @@ class Windowed(eqx.Module):
         return mean, carried @ message.covariance @ carried.T + jax.scipy.linalg.block_diag(*new)
 
     def after(
-        self, message: Message, passed: Passed, force: Disturbance, spread: Float[Array, "12"]
-    ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
-        """The window joined to those before it: its information, its determinant and what it tells the next.
+        self, message: Message, force: Disturbance, spread: Float[Array, "12"]
+    ) -> tuple[Float[Array, "steps rows columns"], Float[Array, ""], Message]:
+        """The window filtered: its whitened residuals, their determinant and what it tells the next.
 
-        - `message`: of the window before; `passed`: this window filtered.
+        - `message`: of the window before.
         """
-        return _passed_on(passed, *self.begun(message, force, spread), self.end)
+        mean, covariance = self.begun(message, force, spread)
+        into = jax.scipy.linalg.block_diag(self.line.begin, jnp.eye(force.states))
+        begin = Begun(into @ mean, into @ covariance @ into.T, jnp.zeros(()))
+        (mean, covariance, log_det), white = _through(self.line, force, begin)
+        return white, log_det, Message(mean, covariance, self.end)
+
+    def informed(
+        self, message: Message, force: Disturbance, spread: Float[Array, "12"]
+    ) -> tuple[Float[Array, "columns columns"], Float[Array, ""], Message]:
+        """The same, but of the whitened residuals their information by the columns."""
+        white, log_det, message = self.after(message, force, spread)
+        white = white.reshape(-1, white.shape[-1])
+        return white.T @ white, log_det, message
 
     def shaped(self, free: Free, shapes: Float[Array, "knots 6 shapes"]) -> "Windowed":
         """The sizes of wrenches of given shapes asked for as well, behind what is asked for first."""
@@ -380,17 +333,13 @@ class Windowed(eqx.Module):
             return jnp.concatenate([stays[..., :-1], more, stays[..., -1:]], axis=-1)
 
         by_residual, by_end = free.along(shapes)
-        both = behind(self.line.residual, by_residual), behind(self.end, by_end)
-        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, both)
+        return self.told(behind(self.line.residual, by_residual), behind(self.end, by_end))
 
     def beside(self, free: Free, wrench: Float[Array, "knots 6"]) -> "Windowed":
         """The window where a wrench acts that its path does not have."""
         by_residual, by_end = free.along(wrench[..., None])
-        both = (
-            self.line.residual.at[..., -1].add(by_residual[..., 0]),
-            self.end.at[..., -1].add(by_end[..., 0]),
-        )
-        return eqx.tree_at(lambda w: (w.line.residual, w.end), self, both)
+        residual = self.line.residual.at[..., -1].add(by_residual[..., 0])
+        return self.told(residual, self.end.at[..., -1].add(by_end[..., 0]))
 
 
 @compiled
@@ -434,7 +383,7 @@ def lines(
 
 
 def _in_turn(
-    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int = 1
+    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int
 ) -> Iterator[tuple[Windowed, Free, np.ndarray]]:
     """Some windows after others as linear systems, and their indices; what fills up lies beyond the last."""
     count = len(path.delta)
@@ -453,32 +402,24 @@ def _in_turn(
         yield every, free, index
 
 
-def _filtered(line: Line, force: Disturbance) -> Passed:
-    """Windows side by side."""
-    count = len(line.dt)
-    parts = jax.tree.map(lambda a: in_parts(a, part_of(count, TOGETHER)), line)
-    passed = jax.lax.map(lambda part: jax.vmap(lambda one: filtered(one, force))(part), parts)
-    return jax.tree.map(lambda a: joined(a, count), passed)
-
-
 @compiled
 def _joined_up(begin, every: Windowed, force: Disturbance, group: Int[Array, " windows"], spread):
     """What windows say of z, added to what those before them did."""
 
     def each(carry, now):
         total, message = carry
-        window, passed, group = now
+        window, group = now
         half, follows = 0.5 * window.line.dt.sum(), window.gap < 0.5 * window.line.dt[0]
         pushes = force.output(window.line.by_plane[len(window.line.by_plane) // 2])
         expected = -pushes @ force.after(window.gap + half, message.mean[13:, -1:])[:, 0]
         # As the one before lets one expect it, if this window follows it at once.
-        known = window.line.back @ message.mean[:13, -1]
+        known = window.line.back @ (window.signs(message) * message.mean[:13, -1])
         delta = jnp.where(follows, window.delta - window.ahead(message)[:, -1] - known, window.delta)
-        information, log_det, message = window.after(message, passed, force, spread)
+        information, log_det, message = window.informed(message, force, spread)
         kept = information[-1, -1] + log_det, information[:-1, -1], Path(delta, expected)
         return (added(total, information[:-1, :-1], group), message), kept
 
-    return jax.lax.scan(each, begin, (every, _filtered(every.line, force), group))
+    return jax.lax.scan(each, begin, (every, group))
 
 
 def innovations(
@@ -540,11 +481,8 @@ def path_lines(
 @compiled
 def _whitened(every: Windowed, force: Disturbance, spread) -> Float[Array, "windows steps rows"]:
     def each(message: Message, window: Windowed):
-        mean, covariance = window.begun(message, force, spread)
-        into = jax.scipy.linalg.block_diag(window.line.begin, jnp.eye(force.states))
-        begin = Begun(into @ mean, into @ covariance @ into.T, jnp.zeros(()))
-        (mean, covariance, _), white = _through(window.line, window.line.residual, force, begin)
-        return Message(mean, covariance, window.end), white[..., 0]
+        white, _, message = window.after(message, force, spread)
+        return message, white[..., 0]
 
     return jax.lax.scan(each, nothing_known(force, 1), every)[1]
 
@@ -564,14 +502,13 @@ def _minus_twice(logarithms: Float[Array, " logarithms"], unit: Array, every: Wi
     meaning = Logarithms(len(force.axes))
     now = meaning.set(force, unit, logarithms)
 
+    # What a window needs for its slope is made again, or that of all would be held at once.
     @jax.checkpoint
-    def each(message, here):
-        window, passed = here
-        information, log_det, message = window.after(message, passed, now, spread)
-        return message, information[-1, -1] + log_det
+    def each(message, window):
+        white, log_det, message = window.after(message, now, spread)
+        return message, (white**2).sum() + log_det
 
-    passed = _filtered(every.line, now)
-    _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), (every, passed))
+    _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), every)
     return minus_twice.sum() + meaning.unusual(now, unit)
 
 
@@ -811,19 +748,18 @@ def _joined_beside(begin, every: Windowed, free: Free, force: Disturbance, index
             room = room.at[..., :given].set(stays[..., :-1]).at[..., -1].set(stays[..., -1])
             return jax.lax.dynamic_update_slice_in_dim(room, by_knots, place, axis=-1)
 
-        both = beside(window.line.residual, free.residual), beside(window.end, free.end)
-        return eqx.tree_at(lambda w: (w.line.residual, w.end), window, both)
+        return window.told(beside(window.line.residual, free.residual), beside(window.end, free.end))
 
     def each(carry, now):
         total, message = carry
-        window, passed, group = now
+        window, free, index, group = now
+        window = of_window(window, free, index)
         forgotten = message.mean.at[:, given:columns].multiply(window.joined)
         message = eqx.tree_at(lambda m: m.mean, message, forgotten)
-        information, _, message = window.after(message, passed, force, spread)
+        information, _, message = window.informed(message, force, spread)
         return (added(total, information, group), message), None
 
-    wide = jax.vmap(of_window)(every, free, index)
-    return jax.lax.scan(each, begin, (wide, _filtered(wide.line, force), group))[0]
+    return jax.lax.scan(each, begin, (every, free, index, group))[0]
 
 
 def free_wrench(

@@ -10,7 +10,6 @@ import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +47,6 @@ from ..fitting import (
     Windows,
     at_rest,
     by_plane,
-    filtered,
     lines,
     noise_of,
     nothing_known,
@@ -275,7 +273,7 @@ class Bench:
         residual, end = np.array(window.line.residual), np.array(window.end)
         residual[..., -1] -= residual[..., :-1] @ z
         end[..., -1] -= end[..., :-1] @ z
-        return eqx.tree_at(lambda one: (one.line.residual, one.end), window, (residual, end))
+        return window.told(residual, end)
 
     def _seen(self, rows: Rows, begun: "Begun", trail: Float[np.ndarray, "_ 13"]) -> "Seen":
         """Arguments as of `window`."""
@@ -465,7 +463,7 @@ def _expected(message: Message, force: Disturbance, after: Array, z: Array) -> t
 @compiled
 def passed(message: Message, window: Windowed, force: Disturbance, spread):
     """What a block says of z, and what it tells the next."""
-    information, log_det, message = window.after(message, filtered(window.line, force), force, spread)
+    information, log_det, message = window.informed(message, force, spread)
     return (information[-1, -1] + log_det, information[:-1, -1], information[:-1, :-1]), message
 
 

@@ -9,9 +9,9 @@ When to be sure: the ratio of a suspect's likelihood to that of none is a martin
 A sum of such ratios over all suspects, one begun at every window, passes a bound in no less than bound
 windows on the average; the largest passes it no sooner. So the bound follows from how often a false name may
 be said. After Shiryaev and Roberts on quickest detection, and Ville's inequality. It holds as far as the
-model of what disturbs the craft does, a Gauss-Markov wrench per axis, a swell and a current once the rows
-tell them, and no further: sizes are estimated from the same rows, and what is none of these is evidence for
-whatever explains it best.
+model of what disturbs the craft does, a Gauss-Markov wrench per axis, a swell, a drift and a current once
+the rows tell them, and no further: sizes are estimated from the same rows, and what is none of these is
+evidence for whatever explains it best.
 """
 
 from collections.abc import Sequence
@@ -197,19 +197,14 @@ class Judge:
         unnamed = {*ledger.bench.swinging} - {one.suspect for one in self.members}
         return bool(due and unnamed) and ledger.accounts[0].force.swells
 
-    def _decide(self, suspected: Sequence[Member], swinging: bool) -> list[str]:
-        """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
-
-        Or if a swell may be a wave.
-        """
-        ledger = self.ledger
-        first = ledger.accounts[0]
-        level = max(ledger.likelihood(a, ledger.since(a), self.members) for a in ledger.accounts)
+    def _weighed(self, suspected: Sequence[Member]) -> list[Weighed]:
+        """Suspects by slopes, each beside a disturbance of its own, the best first."""
+        ledger, level = self.ledger, max(self._levels())
         weighed: list[Weighed] = []
         for member in suspected:
             own = ledger.accounts[-1].branched()
             ledger.estimate(own, (*self.members, member))
-            found = [(*self._worth(account, member.suspect, level), account) for account in (first, own)]
+            found = [(*self._worth(one, member.suspect, level), one) for one in (ledger.accounts[0], own)]
             nats, since, account = max(found, key=lambda one: one[0])
             weighed.append(Weighed(nats, Member(member.suspect, since), account))
         # What begins elsewhere has a slope on one side only, which may lead where no craft is.
@@ -217,7 +212,14 @@ class Judge:
         weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
         # What swings has slopes at a period of its own only.
         weighed = [one for one in weighed if one.member.suspect not in ledger.bench.swinging]
-        weighed.sort(key=lambda one: -one.nats)
+        return sorted(weighed, key=lambda one: -one.nats)
+
+    def _decide(self, suspected: Sequence[Member], swinging: bool) -> list[str]:
+        """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
+
+        Or if a swell may be a wave.
+        """
+        ledger, weighed = self.ledger, self._weighed(suspected)
         sure = [one for one in weighed if one.nats >= self.bound]
         if not sure and not swinging:
             self.undecided = ()

@@ -197,7 +197,7 @@ class Ledger:
         for account in self.accounts:
             account.sums, account.minus_twice = Account.blank(self.bench).sums, 0.0
 
-    def beside(self, account: Account, members: Sequence[Member]) -> float:
+    def likelihood_beside(self, account: Account, members: Sequence[Member]) -> float:
         """Likelihood of members beside a disturbance that is estimated from that of another account on.
 
         Its numbers are paid for.
@@ -527,8 +527,7 @@ def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: S
     for columns, since in gates:
         acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
         acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
-        told = blocks.line.residual * acts[..., None, None, :], blocks.end * acts[..., None, :]
-        blocks = eqx.tree_at(lambda w: (w.line.residual, w.end), blocks, told)
+        blocks = blocks.told(blocks.line.residual * acts[..., None, None, :], blocks.end * acts[..., None, :])
     return blocks
 
 

@@ -78,7 +78,7 @@ def rivals(
     out.sort(key=lambda one: -one.compared)
     # A disturbance that was found beside the best may suit the rows better without it, too.
     none = field.none
-    more = none.passage.ledger.beside(out[0].told.account, none.members) - none.level
+    more = none.passage.ledger.likelihood_beside(out[0].told.account, none.members) - none.level
     return [one._replace(nats=one.nats - max(more, 0.0)) for one in out]
 
 
