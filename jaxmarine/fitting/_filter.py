@@ -154,13 +154,16 @@ def _through(
     line: Line, force: Disturbance, begin: Begun
 ) -> tuple[Begun, Float[Array, "steps rows columns"]]:
     """Where a window ends, and its whitened residuals, each given all before it."""
-    pushes = jax.vmap(force.output)(line.by_plane)
-
-    def by_states(by: Float[Array, "steps rows driven"]) -> Float[Array, "steps rows joint"]:
-        return jnp.concatenate([by[..., :13], by[..., 13:] @ pushes], axis=-1)
+    # What does not hang on what was measured, for all samples at once.
+    pushes, over = jax.vmap(force.output)(line.by_plane), jax.vmap(force.over)(line.dt)
+    h = jnp.concatenate([line.h[..., :13], line.h[..., 13:] @ pushes], axis=-1)
+    by = line.f[..., 13:] @ pushes
+    f = jnp.concatenate([line.f[..., :13], by @ over.mean], axis=-1)
+    by_both = over.covariance @ jnp.swapaxes(by, 1, 2)
+    in_states = by @ over.variance @ jnp.swapaxes(by, 1, 2)
 
     def step(carry: Begun, now):
-        f, h, residual, dt = now
+        f, h, residual, dt, in_states, by_both, new = now
         mean, covariance, log_det = carry
         # All sensors of a sample at once, whose noises have a size of one.
         by_rows = h @ covariance
@@ -171,17 +174,14 @@ def _through(
         )
         mean, covariance = mean + told.T @ white, covariance - told.T @ told
         log_det = log_det + 2.0 * jnp.log(jnp.diagonal(root)).sum()
-        by, over = f[:, 13:], force.over(dt)
-        f = jnp.concatenate([f[:, :13], by @ over.mean], axis=1)
         mean = jnp.concatenate([f @ mean, force.after(dt, mean[13:])])
-        half = jnp.concatenate([f @ covariance, force.after(dt, covariance[13:])])
-        covariance = jnp.concatenate([half @ f.T, force.after(dt, half[:, 13:].T).T], axis=1)
-        both = over.covariance @ by.T
-        new = [[by @ over.variance @ by.T, both.T], [both, over.new]]
-        covariance = covariance + jnp.block(new)
-        return Begun(mean, 0.5 * (covariance + covariance.T), log_det), white
+        half = f @ covariance
+        states, beside = half @ f.T + in_states, force.after(dt, half[:, 13:].T) + by_both
+        own = force.after(dt, force.after(dt, covariance[13:, 13:]).T) + new
+        covariance = jnp.block([[0.5 * (states + states.T), beside.T], [beside, 0.5 * (own + own.T)]])
+        return Begun(mean, covariance, log_det), white
 
-    return jax.lax.scan(step, begin, (by_states(line.f), by_states(line.h), line.residual, line.dt))
+    return jax.lax.scan(step, begin, (f, h, line.residual, line.dt, in_states, by_both, over.new))
 
 
 def nothing_known(force: Disturbance, columns: int) -> Message:
