@@ -22,15 +22,9 @@ from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves, WindPush
 from jaxmarine.fitting import _filter, drifting, flowing, with_current, with_drift, with_swell
-from jaxmarine.fitting._disturbance import (
-    PLANE,
-    USUAL_FLOW,
-    Disturbance,
-    Logarithms,
-    count_of,
-    unlearned,
-)
+from jaxmarine.fitting._disturbance import PLANE, Disturbance
 from jaxmarine.fitting._filter import Line, Windowed
+from jaxmarine.fitting._logarithms import USUAL_FLOW, count_of, logarithms_of, unlearned, with_logarithms
 from jaxmarine.fitting._processes import Swell
 from jaxmarine.logs import Log
 from jaxmarine.physics import LATE, late
@@ -329,8 +323,8 @@ def test_a_disturbance_of_no_size_is_none():
 @pytest.mark.parametrize("kind", KINDS)
 def test_sizes_and_memories_come_back_from_their_logarithms(kind):
     _, force = windows_of([False], [1e6], kind)
-    meaning, unit = Logarithms(AXES), np.array([20.0, 3.0])
-    again = meaning.set(force, jnp.asarray(unit), jnp.asarray(meaning.of(force, unit)))
+    unit = np.array([20.0, 3.0])
+    again = with_logarithms(force, jnp.asarray(unit), jnp.asarray(logarithms_of(force, unit)))
     for name in ("size", "time", "frequency"):
         np.testing.assert_allclose(getattr(again, name), getattr(force, name), rtol=1e-12)
 
@@ -347,8 +341,8 @@ def test_without_its_swell_a_disturbance_is_one_whose_swell_has_no_size(others):
     assert calm.force.kind == (False, *others)
     for mine, its in zip(joined_up(every, calm.force), joined_up(every, still), strict=True):
         np.testing.assert_allclose(mine, its, rtol=1e-9, atol=1e-9)
-    unit, meaning = np.ones(AXES), Logarithms(AXES)
-    kept = [list(meaning.of(force, unit)).index(one) for one in meaning.of(calm.force, unit)]
+    unit = np.ones(AXES)
+    kept = [list(logarithms_of(force, unit)).index(one) for one in logarithms_of(calm.force, unit)]
     np.testing.assert_array_equal(calm.covariance, known[np.ix_(kept, kept)])
 
 

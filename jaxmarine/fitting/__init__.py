@@ -24,13 +24,8 @@ from ._check import (
 from ._check import (
     sparkline as sparkline,
 )
-from ._disturbance import USUAL_MEMORY as USUAL_MEMORY
-from ._disturbance import USUAL_SIZE as USUAL_SIZE
 from ._disturbance import Disturbance as Disturbance
 from ._disturbance import by_plane as by_plane
-from ._disturbance import count_of as count_of
-from ._disturbance import unlearned as unlearned
-from ._disturbance import unusual as unusual
 from ._feedback import answers as answers
 from ._filter import Likelihood as Likelihood
 from ._filter import Line as Line
@@ -83,6 +78,11 @@ from ._linearise import (
 from ._linearise import (
     screening as screening,
 )
+from ._logarithms import USUAL_MEMORY as USUAL_MEMORY
+from ._logarithms import USUAL_SIZE as USUAL_SIZE
+from ._logarithms import count_of as count_of
+from ._logarithms import unlearned as unlearned
+from ._logarithms import unusual as unusual
 from ._noise import median_noise as median_noise
 from ._noise import noise_of as noise_of
 from ._noise import noises_of as noises_of

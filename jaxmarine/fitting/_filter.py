@@ -30,8 +30,9 @@ from scipy import optimize
 from .._compiled import compiled
 from ._affine import Affine
 from ._damped import ATOL, DampedGaussNewton, minimise_outside
-from ._disturbance import Disturbance, Logarithms, by_plane
+from ._disturbance import Disturbance, by_plane
 from ._linearise import BATCH, added, of_filled, swept
+from ._logarithms import improbable, logarithms_of, new_of, with_logarithms
 from ._parts import part_of
 from ._rollout import LOOSE, TIGHT, Problem
 from ._rows import Rows
@@ -499,8 +500,7 @@ def whitened(
 
 def _minus_twice(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
     """-2 log p(samples, sizes, memories) but for a constant."""
-    meaning = Logarithms(len(force.axes))
-    now = meaning.set(force, unit, logarithms)
+    now = with_logarithms(force, unit, logarithms)
 
     # What a window needs for its slope is made again, or that of all would be held at once.
     @jax.checkpoint
@@ -509,12 +509,12 @@ def _minus_twice(logarithms: Float[Array, " logarithms"], unit: Array, every: Wi
         return message, (white**2).sum() + log_det
 
     _, minus_twice = jax.lax.scan(each, nothing_known(now, 1), every)
-    return minus_twice.sum() + meaning.unusual(now, unit)
+    return minus_twice.sum() + improbable(now, unit)
 
 
 @compiled
 def _sloped(logarithms: Float[Array, " logarithms"], unit: Array, every: Windowed, spread, force):
-    """-2 log p(samples, sizes, memories) but for a constant, and its slope by the `Logarithms`."""
+    """-2 log p(samples, sizes, memories) but for a constant, and its slope by the logarithms."""
     return jax.value_and_grad(_minus_twice)(logarithms, unit, every, spread, force)
 
 
@@ -534,8 +534,7 @@ def improbability(
 
     - `forces`: of one kind, on the same axes. `spread`, `unit`: as of `estimated`.
     """
-    meaning = Logarithms(len(forces[0].axes))
-    logarithms = jnp.asarray(np.array([meaning.of(force, unit) for force in forces]))
+    logarithms = jnp.asarray(np.array([logarithms_of(force, unit) for force in forces]))
     return np.asarray(_valued(logarithms, jnp.asarray(unit), every, spread, forces[0]))
 
 
@@ -554,12 +553,12 @@ def estimated(
 
     - `spread`: `start_spread`; `force`: where the search begins; `unit`: the full thrust [N, N m] of each
       axis, or what stands for it.
-    - `covariance`: of the `Logarithms` by the curvature, as far as it is known, and returned as the search
-      has learned it. One that begins with that of a similar model takes few steps.
+    - `covariance`: of the logarithms (`_logarithms.py`) by the curvature, as far as it is known, and returned
+      as the search has learned it. One that begins with that of a similar model takes few steps.
     - `enough`: the decrease of minus twice the logarithm that is not worth a step; `ENOUGH` at least.
     - `far`: whether sizes may be many times too large or too small to begin with.
     """
-    meaning, enough = Logarithms(len(force.axes)), max(ENOUGH, enough)
+    enough = max(ENOUGH, enough)
 
     @functools.cache
     def sloped(*logarithms: float) -> tuple[float, Float[np.ndarray, " logarithms"]]:
@@ -569,10 +568,10 @@ def estimated(
         usable = np.isfinite(value) and np.isfinite(slope).all()
         return (value, slope) if usable else (RUN_AWAY, np.zeros_like(slope))
 
-    begin = meaning.of(force, unit)
+    begin = logarithms_of(force, unit)
     if far:
         holds = float((np.asarray(every.line.dt) > 0).sum())
-        begin = _come_near(sloped, begin, holds * meaning.new(force))
+        begin = _come_near(sloped, begin, holds * new_of(force))
     # In these coordinates the likelihood curves alike in all directions.
     root = np.linalg.cholesky(covariance)
 
@@ -591,7 +590,7 @@ def estimated(
     # Half the slope's square is what a step is worth where the curvature is as it was said to be.
     how = {"maxiter": STEPS, "gtol": np.sqrt(2 * enough), "norm": 2}
     best = optimize.minimize(of, np.zeros(len(begin)), jac=True, method="BFGS", callback=ended, options=how)
-    found = meaning.set(force, jnp.asarray(unit), jnp.asarray(begin + root @ best.x))
+    found = with_logarithms(force, jnp.asarray(unit), jnp.asarray(begin + root @ best.x))
     learned = root @ best.hess_inv @ root.T
     # A line search that fails, as over a likelihood that rounding makes rough, can leave a curvature that is
     # none: no search could begin with it.

@@ -7,15 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._disturbance import (
-    DRIFT_MEMORY,
-    FLOW_MEMORY,
-    SWELL_ANGLE,
-    USUAL_FLOW,
-    USUAL_MEMORY,
-    Disturbance,
-    Logarithms,
-)
+from ._disturbance import Disturbance
+from ._logarithms import DRIFT_MEMORY, FLOW_MEMORY, SWELL_ANGLE, USUAL_FLOW, USUAL_MEMORY, kinds_of
 from ._windows import PLANE
 
 # From a disturbance to wider ones of a kind, from which the likeliest is looked for.
@@ -92,8 +85,8 @@ def _inserted(
 def without_swell(
     force: Disturbance, covariance: Float[np.ndarray, "logarithms logarithms"]
 ) -> tuple[Disturbance, Float[np.ndarray, "some some"]]:
-    """The disturbance without the swell that it has, and what is known of the `Logarithms` that are left."""
-    kept = np.delete(np.arange(len(covariance)), Logarithms(len(force.axes)).of_kinds(force).swell)
+    """The disturbance without the swell that it has, and what is known of the logarithms that are left."""
+    kept = np.delete(np.arange(len(covariance)), kinds_of(force).swell)
     size, time, frequency = (
         jnp.delete(one, force.parts.swell) for one in (force.size, force.time, force.frequency)
     )
