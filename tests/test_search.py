@@ -1,5 +1,6 @@
 """The sums by which the search decides, against draws, dense least squares and numbers worked by hand."""
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from jaxmarine.diagnosis import Criteria, _search
 from jaxmarine.diagnosis._explanation import Beginning, Member, Model
 from jaxmarine.diagnosis._score import Reduced, scatter, t_value
+from jaxmarine.diagnosis._search import Trial
 from jaxmarine.diagnosis._workbench import Workbench
 
 WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6
@@ -116,3 +118,10 @@ def test_what_a_finding_must_save():
         least = price + 2 * np.log(tried) + 2 * np.log(150)
         assert _search.needed(Bench(), member, 2.0) == pytest.approx(2 * least)
     assert _search.least_needed(Bench()) == pytest.approx(_search.needed(Bench(), always, 1.0))
+
+
+@pytest.mark.parametrize(("saved", "hoped"), [(3.0, 3.0), (0.0, 12.0)])
+def test_a_suspect_that_could_not_take_a_step_yet_is_hoped_to_save_what_the_next_one_promises(saved, hoped):
+    """Velocities of half the size, from the true ones: three steps went too far, and 2.7 million were left."""
+    refitted = dataclasses.replace(MODEL, cost=10.0, promised=4.0)
+    assert _search._hoped(Trial(Member(0), refitted, saved)) == hoped

@@ -383,8 +383,8 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     progress("refitting the best suspects")
     trials = _roughly(bench, model, starts, FEW_STEPS)
     best = max([t.saved for t in trials], default=0.0)
-    hopeful = [t for t in trials if t.saved > HOPEFUL * best]
-    rest = [t for t in trials if t.saved <= HOPEFUL * best]
+    hopeful = [t for t in trials if _hoped(t) > HOPEFUL * best]
+    rest = [t for t in trials if _hoped(t) <= HOPEFUL * best]
     begun = [t.model for t in hopeful] + _hidden(bench, quick, hidden, best) + _in_step(bench, model)
     refitted = _placed(bench, begun)
     refitted += _afresh(bench, model, refitted)
@@ -393,6 +393,11 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     late = [_joined(bench, model, one, None) for one in _begun(with_beginning, trials)]
     trials += [trial_of(model, one) for one in _placed(bench, late)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def _hoped(trial: Trial) -> float:
+    """What a rough refit saves, or promises where its few steps all went too far to be taken."""
+    return trial.saved if trial.saved > 0.0 else 2 * (trial.model.cost - trial.model.promised)
 
 
 def _placed(bench: Workbench, models: Sequence[Model]) -> list[Model]:
