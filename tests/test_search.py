@@ -122,6 +122,6 @@ def test_what_a_finding_must_save():
 
 @pytest.mark.parametrize(("saved", "hoped"), [(3.0, 3.0), (0.0, 12.0)])
 def test_a_suspect_that_could_not_take_a_step_yet_is_hoped_to_save_what_the_next_one_promises(saved, hoped):
-    """Velocities of half the size, from the true ones: three steps went too far, and 2.7 million were left."""
+    """Velocities of half the size, from the true ones: three steps went too far."""
     refitted = dataclasses.replace(MODEL, cost=10.0, promised=4.0)
     assert _search._hoped(Trial(Member(0), refitted, saved)) == hoped
