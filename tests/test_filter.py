@@ -498,13 +498,14 @@ def test_a_late_sensor_is_read_along_all_windows(monkeypatch):
     model = _amid.disturbed(bench, bench.frozen(bench.start()))
     (late_one,) = [i for i, one in enumerate(bench.layout.suspects) if one.target == "velocity"]
     model = bench.with_member(model, Member(late_one), np.array([0.7]))
-    beside, count = dataclasses.replace(model.beside, path=bench.fine.path), bench.fine.count
+    model = dataclasses.replace(model, beside=dataclasses.replace(model.beside, path=bench.fine.path))
+    count, (problem, _) = bench.fine.count, bench.along(model)
     windows = bench.fine.problem.windows
     log, step = windows.log[:count, None], windows.step[:count]
     t = bench.fine.problem.records.t[log, step].reshape(-1)
     for held in (640, 200):
         monkeypatch.setattr(_filter, "HELD", held)
-        problem, every = bench.lines(model, beside)
+        every = bench.lines(model)
         channels = np.zeros((len(t), 12))
         channels[:, 6:] = np.asarray(every.states)[:count, :, 7:].reshape(-1, 6)
         delay = np.zeros((len(t), 4))
