@@ -51,8 +51,7 @@ COMING, NEAR, SHRINKING = 6, 0.1, 0.01
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
 CURVED = 1e-10
-# Windows that are held as linear systems at once at most: one with 150 columns takes 110 kB, and 250 kB more
-# while it is filtered.
+# Windows that are held as linear systems at once at most: one with 150 columns takes 110 kB.
 HELD = 640
 
 
