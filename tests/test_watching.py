@@ -876,22 +876,28 @@ def test_columns_that_are_exchanged_are_named_and_kept(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_current_that_may_wander_is_not_named_as_a_steady_one():
-    """Both are looked at after ten seconds: one hardly moves in its memory of 15 s, one does not at all.
+    """Both are looked at after ten seconds: one hardly moves in its memory of 40 s, one does not at all.
 
-    In a minute that is four memories long the steady one is told.
+    In a minute that is four memories of 15 s long the steady one is told, and the size of those that wander.
     """
     t = np.arange(600) * DT
-    drawn = RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=15.0).draw_current(t, 0)
+    slow, quick = (
+        RandomWrench(np.zeros(6), np.ones(6), current=0.1, current_memory=memory).draw_current(t, 0)
+        for memory in (40.0, 15.0)
+    )
     steady = np.tile([0.1, -0.05, 0.0], (len(t), 1))
-    for water, named in ((drawn, ()), (steady, ("steady_current",))):
+    for water in (slow, quick, steady):
         watch = Watch(boat(), catalogue=SMALL)
         log, _ = sailed(steps(len(t)), 0, water=water)
         told = [one for row in rows_of(log) for one in watch.update(row)]
-        assert tuple(one.label for one in watch.named) == named
-        if not named:
+        if water is slow:
             # It is said all the same that something is wrong.
             assert "cannot be told yet, steady_current, a current that wanders" in told[0]
+        if water is not steady:
+            assert not watch.named
+            assert watch.status.disturbance.current == pytest.approx(0.1, rel=0.5)
             continue
+        assert [one.label for one in watch.named] == ["steady_current"]
         for part, true in (("north", 0.1), ("east", -0.05)):
             value, std, _ = watch.named[0].parameters[part]
             assert abs(value - true) < 4 * std
