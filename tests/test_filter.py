@@ -22,6 +22,8 @@ from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves, WindPush
 from jaxmarine.fitting import _filter, drifting, flowing, with_current, with_drift, with_swell
+from jaxmarine.fitting._affine import Affine
+from jaxmarine.fitting._damped import minimise_outside
 from jaxmarine.fitting._disturbance import PLANE, Disturbance
 from jaxmarine.fitting._filter import Line, Windowed
 from jaxmarine.fitting._logarithms import USUAL_FLOW, count_of, logarithms_of, unlearned, with_logarithms
@@ -566,6 +568,23 @@ def test_the_slope_is_that_of_the_likelihood(disturbed):
     assert (above + below - 2 * here) / (2 * h**2) == pytest.approx(curvature, rel=0.1)
 
 
+def test_many_columns_are_told_as_well_by_a_few_at_a_time(disturbed):
+    """Mixtures of all suspects' at once against seven at a time, which leaves some room in the last part."""
+    bench, model = disturbed
+    problem, own = bench.problem(model.members, bench.fine.problem), bench._every_column(model)
+    mixed = np.random.default_rng(0).normal(size=(own.acts.shape[1], 16))
+    every = Affine(own.theta, own.columns @ mixed, own.acts[:, :16])
+    rest = model.beside.force, model.beside.path, jnp.asarray(bench.fine.group), bench._most_groups
+    whole = _filter.innovations(problem, every, *rest)
+    parts = _filter.innovations(problem, every, *rest, width=7)
+    size = np.sqrt(np.einsum("gii->gi", whole.h))
+    assert (size[0] > 0).all()
+    np.testing.assert_allclose(parts.minus_twice, whole.minus_twice, rtol=1e-9)
+    np.testing.assert_allclose(parts.g.sum(0), whole.g.sum(0), rtol=1e-6, atol=1e-9 * size.sum(0))
+    np.testing.assert_allclose(parts.h, whole.h, rtol=1e-6, atol=1e-9 * size.max() ** 2)
+    np.testing.assert_allclose(parts.path.delta, whole.path.delta, atol=1e-9)
+
+
 def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
     """Against logs in which they act: by differences of the likelihood, which is a parabola of their sizes.
 
@@ -622,6 +641,58 @@ def test_a_path_that_runs_away_is_no_step(disturbed):
     found = _filter._improbable((z, path), likely)[1]
     far = eqx.tree_at(lambda f: f.path.delta, found, found.path.delta.at[3, 11].set(1e50))
     assert solver.usable(found) and not solver.usable(far)
+
+
+def test_slopes_promise_by_chance_what_as_many_numbers_save():
+    """Against steps from slopes drawn as those of a model that is right: by their information."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(5, 5))
+    h, precision = root @ root.T, np.array([0.0, 0.1, 1.0, 10.0, 1e12])
+    path, solver = _filter.Path.measured(2, (0,)), _filter.FilterGaussNewton()
+
+    def promised(g: np.ndarray) -> float:
+        found = _filter.Innovations(
+            jnp.zeros(2), jnp.asarray(np.stack([g, 0 * g])), jnp.asarray(h[None]), path
+        )
+        return 2 * solver.moved((jnp.zeros(5), path), found, jnp.asarray(precision), jnp.zeros(()))[1]
+
+    each = [float(promised(root @ rng.normal(size=5))) for _ in range(4000)]
+    found = _filter.Innovations(jnp.zeros(2), jnp.zeros((2, 5)), jnp.asarray(h[None]), path)
+    chance = float(solver.chance(found, jnp.asarray(precision)))
+    # A chi-square of some three degrees of freedom has a standard deviation of 2.4.
+    assert chance == pytest.approx(np.mean(each), abs=4 * np.std(each) / np.sqrt(len(each)))
+    assert 1.0 < chance < 4.0
+
+
+@pytest.mark.parametrize(("times", "ends"), [(0.5, True), (20.0, False)])
+def test_a_step_that_failed_and_promised_no_more_than_chance_is_the_last(times, ends):
+    """Of slopes that point uphill: from the optimum every step fails, whatever it promises."""
+    chance, solver = 3.0, _filter.FilterGaussNewton()
+    path = _filter.Path.measured(1, (0,))
+    g = np.zeros(3)
+    g[0] = np.sqrt(times * chance)
+    tried: list[float] = []
+
+    def of(y):
+        z, path = y
+        tried.append(float(z[0]))
+        found = _filter.Innovations(jnp.zeros(1), jnp.asarray(g[None]), jnp.eye(3)[None], path)
+        return 0.5 * (z @ z), found
+
+    how = {"limit": 4, "share": 1e-6, "samples": 100.0, "damping": 1e-4}
+    options = {name: jnp.asarray(value) for name, value in how.items()}
+    y, _, stats = minimise_outside(of, solver, (jnp.zeros(3), path), jnp.zeros(3), options)
+    assert not y[0].any() and float(stats["cost"]) == 0.0
+    assert len(tried) == (2 if ends else 4)
+    assert (float(stats["predicted"]) == 0.0) == ends
+
+
+@pytest.mark.parametrize(
+    ("minus_twice", "worth"), [(50.0, 1e-4 * 100), (300.0, 1e-4 * 300), (10400.0, 100.0)]
+)
+def test_a_step_is_worth_more_where_a_model_misses_more_than_noise_and_wind(minus_twice, worth):
+    """Of a hundred samples: four each are noise and wind, of what is beyond a hundredth decides nothing."""
+    assert float(_filter.worth_a_step(1e-4, 100, minus_twice)) == pytest.approx(worth)
 
 
 def test_a_log_with_a_gap_is_two_logs(disturbed):

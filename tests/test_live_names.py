@@ -28,11 +28,17 @@ def test_the_page_has_the_numbers_of_the_study():
     said = f"Of {len(by['single'])} logs with one effect {len(same)} get the names of a diagnosis"
     assert said in page and f"first name is right on {len(right)}." in page
     silent = [row for row in by["single"] if not row["named"]]
-    assert len(silent) == 3 and "three that stay silent" in page
+    assert len(silent) == 3 and "Three stay silent" in page
     other = [row for row in by["single"] if row["named"] and {*study.named(row)} != {*row["diagnosed"]}]
-    assert [{*row["diagnosed"]} > {*study.named(row)} for row in other] == [True]
-    assert "one with a name less" in page
-    assert f"more than {max(len(row['named']) for row in kept['rows'])} name." in page
+    assert sum({*row["diagnosed"]} > {*study.named(row)} for row in other) == 1
+    assert "one has a name less" in page
+    wrong = [row for row in other if study.named(row)[0] not in row["diagnosed"]]
+    assert len(wrong) == 3 and "three are named wrongly at first" in page
+    assert all(study.group(row) == "feedback" for row in wrong)
+    more = [row for row in wrong if {*study.named(row)} > {*row["diagnosed"]}]
+    assert len(more) == 2 and "two get a false name before the right one" in page
+    assert len(other) == len(wrong) + 1
+    assert f"more than {max(len(row['named']) for row in kept['rows'])} names." in page
     last = sum(row["program"] == kept["program"] for row in kept["rows"])
     assert f"{last} of {len(kept['rows'])} are by the last program" in page
 

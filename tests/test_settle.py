@@ -248,6 +248,33 @@ def test_what_shows_beside_a_quick_disturbance_must_save_half_of_what_the_best_d
     assert [one.members[-1].suspect for one in found] == hopeful
 
 
+@pytest.mark.parametrize("begins", [20.0, 300.0])
+def test_a_beginning_that_is_far_off_is_reached_in_a_few_refits(begins):
+    """To the second; at half a window a step it would take some ninety. No time is tried twice."""
+    bench = Bench({Member(4, Beginning(0, 160.0)): 0.5})
+    tried: list[float] = []
+    refined = bench.refine_each
+
+    def counted(models, *how):
+        tried.extend(one.members[-1].since.time for one in models)
+        return refined(models, *how)
+
+    bench.refine_each = counted
+    model = bench.with_member(bench.fit(), Member(4, Beginning(0, begins)), np.zeros(1))
+    found = _search.begun_at_best(bench, model, -1, 1.0, _settle.FEW_STEPS)
+    assert found.members[-1].since == Beginning(0, 160.0)
+    assert len(tried) == len({*tried}) <= 30
+
+
+@pytest.mark.parametrize(("always", "refitted"), [(0.0, 1), (1e9, 2)])
+def test_what_begins_is_refitted_if_it_costs_less_than_what_acts_always(always, refitted):
+    bench = Bench({Member(4, Beginning(0, 160.0)): 0.5})
+    begun = bench.with_member(bench.fit(), Member(4, Beginning(0, 150.0)), np.zeros(1))
+    found = _search._placed(bench, [begun, bench.fit(4)], {4: always}, 1e-4)
+    assert len(found) == refitted and found[-1].members == (Member(4),)
+    assert {one.members[-1].since for one in found} <= {None, Beginning(0, 160.0)}
+
+
 def test_of_two_members_that_say_the_same_one_stays():
     bench = Bench(off(s4=0.3), mixed(5, {4: 1.0}))
     model = _settle.pruned(bench, bench.fit(4, 5))

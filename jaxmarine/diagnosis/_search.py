@@ -31,6 +31,8 @@ TELLING = 2
 MORE, AFRESH = 5, 2
 # Suspects refitted for what they would save beside a disturbance that is no slower than usual.
 HIDDEN = 3
+# Share of what the best of some suspects saves that decides nothing between them.
+SLIGHT = 1e-3
 # Windows that must lie on either side of a beginning.
 EARLIEST = 3
 # Findings in one diagnosis at most; a model that needs more is wrong in another way.
@@ -215,9 +217,11 @@ def _joined(bench: Workbench, model: Model, member: Member, value: np.ndarray | 
     return bench.with_member(model, member, begin)
 
 
-def _refined_each(bench: Workbench, models: Sequence[Model], steps: int, times: int = 0) -> list[Model]:
+def _refined_each(
+    bench: Workbench, models: Sequence[Model], steps: int, rtol: float = ROUGH, times: int = 0
+) -> list[Model]:
     """Models refined roughly, the last member of each on the best of its stairs."""
-    return [climbed(bench, one, steps, ROUGH, True) for one in bench.refine_each(models, steps, ROUGH, times)]
+    return [climbed(bench, one, steps, rtol, True) for one in bench.refine_each(models, steps, rtol, times)]
 
 
 def _roughly(
@@ -385,13 +389,19 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     best = max([t.saved for t in trials], default=0.0)
     hopeful = [t for t in trials if _hoped(t) > HOPEFUL * best]
     rest = [t for t in trials if _hoped(t) <= HOPEFUL * best]
-    begun = [t.model for t in hopeful] + _hidden(bench, quick, hidden, best) + _in_step(bench, model)
-    refitted = _placed(bench, begun)
+    seen = {t.member for t in hopeful}
+    beside_quick = _hidden(bench, quick, [one for one in hidden if one not in seen], best)
+    begun = [t.model for t in hopeful] + beside_quick + _in_step(bench, model)
+    always = {t.member.suspect: t.model.cost for t in trials if t.member.since is None}
+    share = max(ROUGH, SLIGHT * best / bench.samples)
+    refitted = _placed(bench, begun, always, share)
     refitted += _afresh(bench, model, refitted)
     trials = rest + [trial_of(model, one) for one in refitted]
     # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
-    late = [_joined(bench, model, one, None) for one in _begun(with_beginning, trials)]
-    trials += [trial_of(model, one) for one in _placed(bench, late)]
+    least = WORTHWHILE * max([t.saved for t in trials], default=0.0)
+    leading = [t for t in trials if t.saved > least]
+    late = [_joined(bench, model, one, None) for one in _begun(with_beginning, leading)]
+    trials += [trial_of(model, one) for one in _placed(bench, late, always, share)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 
 
@@ -400,14 +410,21 @@ def _hoped(trial: Trial) -> float:
     return trial.saved if trial.saved > 0.0 else 2 * (trial.model.cost - trial.model.promised)
 
 
-def _placed(bench: Workbench, models: Sequence[Model]) -> list[Model]:
+def _placed(bench: Workbench, models: Sequence[Model], always: dict[int, float], share: float) -> list[Model]:
     """Models refitted with their last member from where it begins best, if it has not acted always.
 
-    What acts at once spoils more by beginning a second late than it saves.
+    What acts at once spoils more by beginning a second late than it saves. One that begins and costs no less
+    than if it acted always, beside the same disturbance, is not refitted.
+
+    - `always`: what suspects cost that act always, after a few steps; `share`: that is worth a step.
     """
-    return _refined_each(
-        bench, [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in models], STEPS, 1
-    )
+    begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in models]
+
+    def gains(one: Model) -> bool:
+        last = one.members[-1]
+        return last.since is None or not one.cost >= always.get(last.suspect, np.inf)
+
+    return _refined_each(bench, [one for one in begun if gains(one)], STEPS, share, 1)
 
 
 def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: float) -> list[Model]:
@@ -460,7 +477,7 @@ def _bent_far(bench: Workbench, model: Model) -> bool:
 def begun_at_best(bench: Workbench, model: Model, which: int, least: float, steps: int) -> Model:
     """The model with a member that begins at the time that costs least, from half a window to `least` [s].
 
-    As it is where the member always acts.
+    Steps double while they lead on, and halve where they do not. As it is where the member always acts.
 
     - `steps`: of each refit.
     """
@@ -470,23 +487,26 @@ def begun_at_best(bench: Workbench, model: Model, which: int, least: float, step
     which, log = which % len(model.members), bench.data.logs[since.log]
     # Else a neighbour would be better by its steps alone.
     model = bench.refine(model, steps)
-    step = bench.data.length / 2
+    step, ways, seen = bench.data.length / 2, (-1, 1), {since.time}
     while step >= 0.9 * least:
         moved, since = [], model.members[which].since
         assert since is not None
-        for shift in (-step, step):
-            time = float(np.clip(since.time + shift, log.t[0], log.t[-1]))
+        for way in ways:
+            time = float(np.clip(since.time + way * step, log.t[0], log.t[-1]))
             time = float(log.t[np.argmin(np.abs(log.t - time))])
             other = dataclasses.replace(model.members[which], since=Beginning(since.log, time))
             members = tuple(other if j == which else m for j, m in enumerate(model.members))
             # Of beginnings that coincide one moves only where there is room for one more.
-            if time != since.time and bench.have_room(members):
+            if time not in seen and bench.have_room(members):
                 moved.append(dataclasses.replace(model, members=members))
+                seen.add(time)
         best = min(bench.refine_each(moved, steps), key=lambda m: m.cost, default=model)
         if best.cost < model.cost - 1e-6:
-            model = best
+            now = best.members[which].since
+            assert now is not None
+            model, ways, step = best, ((1,) if now.time > since.time else (-1,)), 2 * step
         else:
-            step /= 2
+            ways, step = (-1, 1), step / 2
     return model
 
 

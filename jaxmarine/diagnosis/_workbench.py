@@ -33,6 +33,7 @@ from ..fitting import (
     estimated,
     evaluated,
     innovations,
+    logarithms_of,
     maximise,
     measured_channels,
     path_lines,
@@ -43,7 +44,9 @@ from ..fitting import (
     segments,
     start_precision,
     start_spread,
+    too_far,
     unusual,
+    worth_a_step,
 )
 from ..logs import Log
 from ..vehicle import Placed, Vehicle
@@ -81,8 +84,6 @@ FEW_STEPS, ROUGH = 3, 1e-4
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
-# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
-TOO_FAR = 4.0
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
@@ -491,11 +492,13 @@ class Workbench:
             if model.beside is None or not np.isfinite(model.cost):
                 break
             beside = model.beside
-            step = rtol * max(self.samples, 2 * model.cost)
-            known = beside.force, self.fine.unit, beside.covariance
+            step = float(worth_a_step(rtol, self.samples, 2 * model.cost))
+            unit, known = self.fine.unit, (beside.force, self.fine.unit, beside.covariance)
             force, learned, _ = estimated(self.spread, self.lines(model), *known, enough=step, far=True)
+            if np.allclose(logarithms_of(force, unit), logarithms_of(beside.force, unit)):
+                break
             # What a model misses makes the likelihood curve as it will not once that has a name.
-            missed = 2 * model.cost > TOO_FAR * self.samples
+            missed = too_far(self.samples, 2 * model.cost) > 0
             now = Beside(force, beside.path, beside.covariance if missed else learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > max(LIKELIER, 0.5 * step):
@@ -513,6 +516,25 @@ class Workbench:
         out = refine_windows(fixed, jnp.zeros(SLOTS), white.delta, 10, rtol=1e-5)
         prior = float(self._precision(white) @ white.z**2)
         return dataclasses.replace(white, delta=out.delta, cost=float(out.cost) + 0.5 * prior)
+
+    def prepare(self, model: Model) -> None:
+        """Has what is asked in the end beside white noise compiled meanwhile, where a processor is idle.
+
+        A search beside a disturbance needs none of it, and compiles little: at a first start these take a
+        fifth of a diagnosis.
+        """
+        if isinstance(self.data, Outline) or (os.cpu_count() or 1) < 2:
+            return
+        white = dataclasses.replace(model, beside=None)
+
+        def asked() -> None:
+            with jax.enable_x64(True):
+                refine_windows(self.task(white), jnp.asarray(self._padded(white.z)), white.delta, 1)
+                self.screened(white)
+
+        pool = ThreadPoolExecutor(1)
+        pool.submit(asked)
+        pool.shutdown(wait=False)
 
     def _fixed(self, model: Model, task: Task) -> tuple[Affine, Array]:
         here = task.affine.at(jnp.asarray(self._padded(model.z)))
@@ -723,6 +745,7 @@ class Workbench:
             model.beside.path,
             groups,
             self._most_groups,
+            width=SLOTS,
         )
         count = len(self.group_windows)
         of = self.fine.group[: self.fine.count]

@@ -43,7 +43,9 @@ from ._filter import nothing_known as nothing_known
 from ._filter import path_lines as path_lines
 from ._filter import promise as promise
 from ._filter import start_spread as start_spread
+from ._filter import too_far as too_far
 from ._filter import whitened as whitened
+from ._filter import worth_a_step as worth_a_step
 from ._fit import Fit as Fit
 from ._fit import FitError as FitError
 from ._fit import fit as fit
@@ -81,6 +83,7 @@ from ._linearise import (
 from ._logarithms import USUAL_MEMORY as USUAL_MEMORY
 from ._logarithms import USUAL_SIZE as USUAL_SIZE
 from ._logarithms import count_of as count_of
+from ._logarithms import logarithms_of as logarithms_of
 from ._logarithms import unlearned as unlearned
 from ._logarithms import unusual as unusual
 from ._noise import median_noise as median_noise

@@ -26,6 +26,16 @@ class Affine(eqx.Module):
         """The same map seen from z."""
         return Affine(self(z), self.columns, self.acts)
 
+    def in_parts(self, width: int) -> list["Affine"]:
+        """The same map for so many z at a time; behind the last ones stand some that change nothing."""
+        given = self.acts.shape[-1]
+        more = ((0, 0), (0, -given % width))
+        columns, acts = jnp.pad(self.columns, more), jnp.pad(self.acts, more)
+        return [
+            Affine(self.theta, columns[:, i : i + width], acts[:, i : i + width])
+            for i in range(0, given, width)
+        ]
+
 
 class Columns(eqx.Module):
     """A matrix to multiply by, of which most columns have a single entry: to pick those is less work.

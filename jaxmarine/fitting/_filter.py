@@ -47,6 +47,9 @@ STEPS, ENOUGH = 40, 0.1
 # Looks with which sizes come near at most, by how much of itself a size is near, and the least that a step
 # leaves of its square.
 COMING, NEAR, SHRINKING = 6, 0.1, 0.01
+# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind, and
+# the share of what is beyond that is worth a step: the cause of it has yet to be found, and will explain it.
+TOO_FAR, BEYOND = 4.0, 0.01
 # Stands for the improbability of samples along a path that has run away.
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
@@ -382,14 +385,51 @@ def lines(
     )
 
 
+@compiled
+def _abreast(every: tuple[Windowed, ...], given: int) -> Windowed:
+    """The same windows with what is asked for in each of some parts, of which the first `given` count."""
+
+    def joined(parts: list[Array]) -> Array:
+        asked = jnp.concatenate([one[..., :-1] for one in parts], axis=-1)
+        return jnp.concatenate([asked[..., :given], parts[0][..., -1:]], axis=-1)
+
+    return every[0].told(joined([one.line.residual for one in every]), joined([one.end for one in every]))
+
+
+def _lines_by(
+    width: int | None,
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    knots: int,
+    trail: Trail | None = None,
+) -> tuple[Windowed, Free, Trail]:
+    """`lines`, by so many z at a time, so that the program of few z serves for many."""
+    given = affine.acts.shape[-1]
+    if width is None or given <= width:
+        return lines(problem, affine, force, path, knots, trail)
+    parts = [lines(problem, part, force, path, knots, trail) for part in affine.in_parts(width)]
+    every, (free, *_), (trail, *_) = zip(*parts, strict=True)
+    return _abreast(every, given), free, trail
+
+
 def _in_turn(
-    problem: Problem, affine: Affine, force: Disturbance, path: Path, knots: int
+    problem: Problem,
+    affine: Affine,
+    force: Disturbance,
+    path: Path,
+    knots: int,
+    width: int | None = None,
 ) -> Iterator[tuple[Windowed, Free, np.ndarray]]:
-    """Some windows after others as linear systems, and their indices; what fills up lies beyond the last."""
+    """Some windows after others as linear systems, and their indices; what fills up lies beyond the last.
+
+    - `width`: how many z at a time; None: all of them.
+    """
     count = len(path.delta)
     size = part_of(count, HELD, BATCH)
     if size >= count:
-        every, free, _ = lines(problem, affine, force, path, knots)
+        every, free, _ = _lines_by(width, problem, affine, force, path, knots)
         yield every, free, np.arange(count)
         return
     trail = None
@@ -398,7 +438,7 @@ def _in_turn(
         windows, part = jax.tree.map(lambda a, here=here: a[here], (problem.windows, path))
         some = eqx.tree_at(lambda p: p.windows, problem, windows)
         beside = dataclasses.replace(force, gap=force.gap[here], joined=force.joined[here])
-        every, free, trail = lines(some, affine, beside, part, knots, trail)
+        every, free, trail = _lines_by(width, some, affine, beside, part, knots, trail)
         yield every, free, index
 
 
@@ -430,17 +470,19 @@ def innovations(
     group: Int[Array, " windows"],
     groups: int,
     shapes: Float[Array, "windows knots 6 shapes"] | None = None,
+    width: int | None = None,
 ) -> Innovations:
     """What all windows say of z at z = 0, and of the sizes of wrenches of given shapes at 0.
 
     - `group`: of each window; windows of the group with the number `groups` are left out.
     - `shapes`: of wrenches that are constant over each of so many equal parts of a window [N, N m].
+    - `width`: how many z are linearised at a time, so that the program of few serves for many; None: all.
     """
     count, spread = len(path.delta), _spread(problem)
     given = affine.acts.shape[-1] + (0 if shapes is None else shapes.shape[-1])
     carry = jnp.zeros((groups + 1, given, given)), nothing_known(force, given + 1)
     found, knots = [], 1 if shapes is None else shapes.shape[1]
-    for every, free, index in _in_turn(problem, affine, force, path, knots):
+    for every, free, index in _in_turn(problem, affine, force, path, knots, width):
         if shapes is not None:
             every = _shaped(every, free, shapes[np.minimum(index, count - 1)])
         carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
@@ -659,11 +701,22 @@ def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Array, Innovat
     return 0.5 * (found.minus_twice.sum() + (task.precision * z * z).sum()), found
 
 
+def too_far(samples: int | Array, minus_twice: float | Array) -> float | Array:
+    """By how much -2 log p is more than noise and wind explain; below zero where it is less."""
+    return minus_twice - TOO_FAR * samples
+
+
+def worth_a_step(share: float | Array, samples: int | Array, minus_twice: float | Array) -> Array:
+    """The decrease of -2 log p that is worth a step; `share`: of it, or of the number of samples."""
+    beyond = BEYOND * jnp.maximum(too_far(samples, minus_twice), 0.0)
+    return jnp.maximum(share * jnp.maximum(samples, minus_twice), beyond)
+
+
 class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
     """Damped Gauss-Newton on the innovations; each step goes on from the path that the last one predicts.
 
-    Its arguments are the precision of the prior. A step is worth the share of -2 log p that the option
-    `share` says, or of the number of samples where that is more, and `ATOL` at least.
+    Its arguments are the precision of the prior. A step is worth what `worth_a_step` says of the options
+    `share` and `samples`, and `ATOL` at least.
     """
 
     def usable(self, found: Innovations) -> Bool[Array, ""]:
@@ -680,10 +733,16 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
         d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g, assume_a="pos")
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
+    def chance(self, found: Innovations, args: Float[Array, " z"]) -> Float[Array, ""]:
+        # As much as so many numbers save that are right as they are. How the covariance of what was measured
+        # hangs on them is left out of their slopes, which does not average out at the optimum.
+        h = found.h.sum(0)
+        return jnp.trace(jax.scipy.linalg.solve(h + jnp.diag(args), h, assume_a="pos"))
+
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
         # Where it could not be begun, what is worth a step is not known.
         minus_twice = jnp.where(jnp.isfinite(cost), 2 * cost, 0.0)
-        return jnp.maximum(ATOL, options["share"] * jnp.maximum(options["samples"], minus_twice))
+        return jnp.maximum(ATOL, worth_a_step(options["share"], options["samples"], minus_twice))
 
 
 class Likeliest(eqx.Module):
