@@ -577,11 +577,14 @@ def test_many_columns_are_told_as_well_by_a_few_at_a_time(disturbed):
     rest = model.beside.force, model.beside.path, jnp.asarray(bench.fine.group), bench._most_groups
     whole = _filter.innovations(problem, every, *rest)
     parts = _filter.innovations(problem, every, *rest, width=7)
-    size = np.sqrt(np.einsum("gii->gi", whole.h))
-    assert (size[0] > 0).all()
+    # In standard errors, of which rounding leaves some 1e-10.
+    size = np.sqrt(np.diag(whole.h.sum(0)))
+    assert (size > 0).all()
     np.testing.assert_allclose(parts.minus_twice, whole.minus_twice, rtol=1e-9)
-    np.testing.assert_allclose(parts.g.sum(0), whole.g.sum(0), rtol=1e-6, atol=1e-9 * size.sum(0))
-    np.testing.assert_allclose(parts.h, whole.h, rtol=1e-6, atol=1e-9 * size.max() ** 2)
+    units = {"g": size[None], "h": np.outer(size, size)[None]}
+    for name, unit in units.items():
+        ours, theirs = (np.asarray(getattr(one, name)) / unit for one in (parts, whole))
+        np.testing.assert_allclose(ours, theirs, atol=1e-7)
     np.testing.assert_allclose(parts.path.delta, whole.path.delta, atol=1e-9)
 
 
@@ -659,16 +662,17 @@ def test_slopes_promise_by_chance_what_as_many_numbers_save():
     each = [float(promised(root @ rng.normal(size=5))) for _ in range(4000)]
     found = _filter.Innovations(jnp.zeros(2), jnp.zeros((2, 5)), jnp.asarray(h[None]), path)
     chance = float(solver.chance(found, jnp.asarray(precision)))
-    # A chi-square of some three degrees of freedom has a standard deviation of 2.4.
-    assert chance == pytest.approx(np.mean(each), abs=4 * np.std(each) / np.sqrt(len(each)))
-    assert 1.0 < chance < 4.0
+    # Two standard deviations of a chi-square leave one in twenty; a prior makes it a bit narrower.
+    assert np.mean(each) + 1.9 * np.std(each) < chance < np.mean(each) + 2.4 * np.std(each)
+    assert 0.94 < np.mean(np.array(each) < chance) < 0.98
 
 
 @pytest.mark.parametrize(("times", "ends"), [(0.5, True), (20.0, False)])
 def test_a_step_that_failed_and_promised_no_more_than_chance_is_the_last(times, ends):
     """Of slopes that point uphill: from the optimum every step fails, whatever it promises."""
-    chance, solver = 3.0, _filter.FilterGaussNewton()
-    path = _filter.Path.measured(1, (0,))
+    solver, path = _filter.FilterGaussNewton(), _filter.Path.measured(1, (0,))
+    # Of three numbers.
+    chance = 3.0 + 2.0 * np.sqrt(6.0)
     g = np.zeros(3)
     g[0] = np.sqrt(times * chance)
     tried: list[float] = []

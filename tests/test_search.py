@@ -125,3 +125,11 @@ def test_a_suspect_that_could_not_take_a_step_yet_is_hoped_to_save_what_the_next
     """Velocities of half the size, from the true ones: three steps went too far."""
     refitted = dataclasses.replace(MODEL, cost=10.0, promised=4.0)
     assert _search._hoped(Trial(Member(0), refitted, saved)) == hoped
+
+
+@pytest.mark.parametrize(("saved", "begins", "pays"), [(8.0, 0, False), (12.0, 0, True), (12.0, 1, False)])
+def test_a_rough_refit_must_pay_for_its_numbers_by_what_it_saves_and_promises(saved, begins, pays):
+    """Two numbers cost log(1000) = 6.9 each, and a beginning as much again; what is promised is 4."""
+    member = Member(0, Beginning(0, 30.0) if begins else None)
+    refitted = dataclasses.replace(MODEL, cost=10.0, promised=8.0)
+    assert _search._pays(Bench(), Trial(member, refitted, saved)) == pays

@@ -1,6 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -387,8 +388,9 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     progress("refitting the best suspects")
     trials = _roughly(bench, model, starts, FEW_STEPS)
     best = max([t.saved for t in trials], default=0.0)
-    hopeful = [t for t in trials if _hoped(t) > HOPEFUL * best]
-    rest = [t for t in trials if _hoped(t) <= HOPEFUL * best]
+    may_win = [_hoped(t) > HOPEFUL * best and _pays(bench, t) for t in trials]
+    hopeful = list(itertools.compress(trials, may_win))
+    rest = [t for t, may in zip(trials, may_win, strict=True) if not may]
     seen = {t.member for t in hopeful}
     beside_quick = _hidden(bench, quick, [one for one in hidden if one not in seen], best)
     begun = [t.model for t in hopeful] + beside_quick + _in_step(bench, model)
@@ -400,7 +402,8 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
     least = WORTHWHILE * max([t.saved for t in trials], default=0.0)
     leading = [t for t in trials if t.saved > least]
-    late = [_joined(bench, model, one, None) for one in _begun(with_beginning, leading)]
+    begun = [(one, None) for one in _begun(with_beginning, leading)]
+    late = [t.model for t in _roughly(bench, model, begun, FEW_STEPS) if _pays(bench, t)]
     trials += [trial_of(model, one) for one in _placed(bench, late, always, share)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
 
@@ -408,6 +411,12 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
 def _hoped(trial: Trial) -> float:
     """What a rough refit saves, or promises where its few steps all went too far to be taken."""
     return trial.saved if trial.saved > 0.0 else 2 * (trial.model.cost - trial.model.promised)
+
+
+def _pays(bench: Workbench, trial: Trial) -> bool:
+    """Whether what a rough refit saves and promises pays for the suspect's parameters and its beginning."""
+    promised = 2 * max(trial.model.cost - trial.model.promised, 0.0)
+    return evidence(bench, trial.member, trial.saved + promised, 1.0) > 0
 
 
 def _placed(bench: Workbench, models: Sequence[Model], always: dict[int, float], share: float) -> list[Model]:

@@ -734,10 +734,12 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
     def chance(self, found: Innovations, args: Float[Array, " z"]) -> Float[Array, ""]:
-        # As much as so many numbers save that are right as they are. How the covariance of what was measured
-        # hangs on them is left out of their slopes, which does not average out at the optimum.
+        # As much as so many numbers save that are right as they are, and two standard deviations more. How
+        # the covariance of what was measured hangs on them is left out of their slopes, so that these may
+        # promise what the likelihood does not keep.
         h = found.h.sum(0)
-        return jnp.trace(jax.scipy.linalg.solve(h + jnp.diag(args), h, assume_a="pos"))
+        count = jnp.trace(jax.scipy.linalg.solve(h + jnp.diag(args), h, assume_a="pos"))
+        return count + 2.0 * jnp.sqrt(2.0 * count)
 
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
         # Where it could not be begun, what is worth a step is not known.
