@@ -181,10 +181,9 @@ def _searched(opened: Opened, progress: Progress) -> tuple[Workbench, Unnamed, F
     And what it found before that and did not find again.
     """
     bench, begun = fitted(opened.bench, _begun(opened))
-    if begun.beside is not None:
-        bench.prepare(begun)
     rival = Unnamed(bench, begun.beside)
-    found = search(bench, begun, progress, rival.beats)
+    with bench.preparing(begun):
+        found = search(bench, begun, progress, rival.beats)
     sharper = sharpened(bench, found.model)
     if sharper is None:
         return bench, rival, found, ()

@@ -40,8 +40,9 @@ EARLIEST = 3
 MOST = MOST_ROUNDS
 # A prior's weight is left as it is where it should be up to this many times as much, or as little.
 SAME = 1.25
-# Share of the best saving that a costly start must promise, and by which a beginning must beat acting always;
-# and the chi-square that it must beat it by at least.
+# Share of the best saving that a costly start must promise, what acts always must save to be tried with a
+# beginning too, and by which a beginning must beat acting always; and the chi-square that it must beat it by
+# at least.
 WORTHWHILE, BEGINS = 0.2, 40.0
 
 
@@ -391,18 +392,25 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     may_win = [_hoped(t) > HOPEFUL * best and _pays(bench, t) for t in trials]
     hopeful = list(itertools.compress(trials, may_win))
     rest = [t for t, may in zip(trials, may_win, strict=True) if not may]
-    seen = {t.member for t in hopeful}
-    beside_quick = _hidden(bench, quick, [one for one in hidden if one not in seen], best)
-    begun = [t.model for t in hopeful] + beside_quick + _in_step(bench, model)
-    always = {t.member.suspect: t.model.cost for t in trials if t.member.since is None}
-    share = max(ROUGH, SLIGHT * best / bench.samples)
-    refitted = _placed(bench, begun, always, share)
+    always = _always(bench, trials)
+    most = max([2 * t.model.cost for t in hopeful], default=0.0)
+    share = max(ROUGH, SLIGHT * best / max(bench.samples, most))
+    # Some look alike beside either disturbance.
+    slow = {t.member: t.model.cost for t in hopeful}
+    shown = [
+        one
+        for one in _hidden(bench, quick, hidden, best)
+        if not one.cost >= slow.get(one.members[-1], np.inf)
+    ]
+    refitted = _placed(bench, [t.model for t in hopeful], always, share)
+    refitted += _placed(bench, shown + _in_step(bench, model), {}, share)
     refitted += _afresh(bench, model, refitted)
     trials = rest + [trial_of(model, one) for one in refitted]
     # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
     least = WORTHWHILE * max([t.saved for t in trials], default=0.0)
     leading = [t for t in trials if t.saved > least]
-    begun = [(one, None) for one in _begun(with_beginning, leading)]
+    tried = {member for member, _ in starts}
+    begun = [(one, None) for one in _begun(with_beginning, leading) if one not in tried]
     late = [t.model for t in _roughly(bench, model, begun, FEW_STEPS) if _pays(bench, t)]
     trials += [trial_of(model, one) for one in _placed(bench, late, always, share)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
@@ -411,6 +419,16 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
 def _hoped(trial: Trial) -> float:
     """What a rough refit saves, or promises where its few steps all went too far to be taken."""
     return trial.saved if trial.saved > 0.0 else 2 * (trial.model.cost - trial.model.promised)
+
+
+def _always(bench: Workbench, trials: Sequence[Trial]) -> dict[int, float]:
+    """What suspects cost that act always, and mean something, each at its best."""
+    out: dict[int, float] = {}
+    for trial in trials:
+        suspect, cost = trial.member.suspect, trial.model.cost
+        if trial.member.since is None and bench.sound(trial.model):
+            out[suspect] = min(cost, out.get(suspect, np.inf))
+    return out
 
 
 def _pays(bench: Workbench, trial: Trial) -> bool:
@@ -425,7 +443,8 @@ def _placed(bench: Workbench, models: Sequence[Model], always: dict[int, float],
     What acts at once spoils more by beginning a second late than it saves. One that begins and costs no less
     than if it acted always, beside the same disturbance, is not refitted.
 
-    - `always`: what suspects cost that act always, after a few steps; `share`: that is worth a step.
+    - `always`: what suspects cost that act always, after a few steps and beside the same disturbance, as far
+      as that is known; `share`: that is worth a step.
     """
     begun = [begun_at_best(bench, one, -1, STRAIGHT, FEW_STEPS) for one in models]
 

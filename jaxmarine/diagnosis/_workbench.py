@@ -1,9 +1,10 @@
 """The workbench: the saturated problem with its compiled programs, and what a search asks of the windows."""
 
+import contextlib
 import dataclasses
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -44,7 +45,6 @@ from ..fitting import (
     segments,
     start_precision,
     start_spread,
-    too_far,
     unusual,
     worth_a_step,
 )
@@ -81,6 +81,8 @@ MOST_DAMPING = 0.1
 EXACT = 1e-6
 # Steps of a refit that tells roughly what a model is worth beside a disturbance, and that share of it.
 FEW_STEPS, ROUGH = 3, 1e-4
+# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
+TOO_FAR = 4.0
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
@@ -495,10 +497,11 @@ class Workbench:
             step = float(worth_a_step(rtol, self.samples, 2 * model.cost))
             unit, known = self.fine.unit, (beside.force, self.fine.unit, beside.covariance)
             force, learned, _ = estimated(self.spread, self.lines(model), *known, enough=step, far=True)
-            if np.allclose(logarithms_of(force, unit), logarithms_of(beside.force, unit)):
+            moved = not np.allclose(logarithms_of(force, unit), logarithms_of(beside.force, unit))
+            if not moved and 2 * (model.cost - model.promised) < step:
                 break
             # What a model misses makes the likelihood curve as it will not once that has a name.
-            missed = too_far(self.samples, 2 * model.cost) > 0
+            missed = 2 * model.cost > TOO_FAR * self.samples
             now = Beside(force, beside.path, beside.covariance if missed else learned)
             before, model = model, self.refine(dataclasses.replace(model, beside=now), max_steps, rtol)
             if not before.cost - model.cost > max(LIKELIER, 0.5 * step):
@@ -517,13 +520,16 @@ class Workbench:
         prior = float(self._precision(white) @ white.z**2)
         return dataclasses.replace(white, delta=out.delta, cost=float(out.cost) + 0.5 * prior)
 
-    def prepare(self, model: Model) -> None:
-        """Has what is asked in the end beside white noise compiled meanwhile, where a processor is idle.
+    @contextlib.contextmanager
+    def preparing(self, model: Model) -> Iterator[None]:
+        """Has what is asked in the end beside white noise compiled meanwhile, where there are two processors.
 
         A search beside a disturbance needs none of it, and compiles little: at a first start these take a
         fifth of a diagnosis.
         """
-        if isinstance(self.data, Outline) or (os.cpu_count() or 1) < 2:
+        alone = isinstance(self.data, Outline) or (os.cpu_count() or 1) < 2
+        if model.beside is None or alone:
+            yield
             return
         white = dataclasses.replace(model, beside=None)
 
@@ -532,9 +538,10 @@ class Workbench:
                 refine_windows(self.task(white), jnp.asarray(self._padded(white.z)), white.delta, 1)
                 self.screened(white)
 
-        pool = ThreadPoolExecutor(1)
-        pool.submit(asked)
-        pool.shutdown(wait=False)
+        with ThreadPoolExecutor(1) as pool:
+            prepared = pool.submit(asked)
+            yield
+            prepared.result()
 
     def _fixed(self, model: Model, task: Task) -> tuple[Affine, Array]:
         here = task.affine.at(jnp.asarray(self._padded(model.z)))

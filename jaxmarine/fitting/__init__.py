@@ -43,7 +43,6 @@ from ._filter import nothing_known as nothing_known
 from ._filter import path_lines as path_lines
 from ._filter import promise as promise
 from ._filter import start_spread as start_spread
-from ._filter import too_far as too_far
 from ._filter import whitened as whitened
 from ._filter import worth_a_step as worth_a_step
 from ._fit import Fit as Fit

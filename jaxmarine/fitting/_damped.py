@@ -35,10 +35,10 @@ class State(eqx.Module, Generic[Y, Found]):
 class DampedGaussNewton(optx.AbstractMinimiser[Y, Found, State]):
     """Takes a function to half a chi-square and what its steps are made of; damping as in `Trust`.
 
-    It ends where the predicted decrease of the chi-square is not worth a step, where a step that promised no
-    more than `chance` finds none, where damping finds none, or after `limit` steps; that, the `damping` it
-    starts with and what `worth` asks for come as options, traced, so that one compiled program serves a probe
-    and a long fit.
+    It ends where the predicted decrease of the chi-square is not worth a step, where a step failed whose
+    slopes are `by_chance`, where damping finds none, or after `limit` steps; that, the `damping` it starts
+    with and what `worth` asks for come as options, traced, so that one compiled program serves a probe and a
+    long fit.
     """
 
     # What optimistix asks of any minimiser; the options decide.
@@ -58,10 +58,10 @@ class DampedGaussNewton(optx.AbstractMinimiser[Y, Found, State]):
     def worth(self, options: dict[str, Any], cost: Float[Array, ""]) -> Float[Array, ""]:
         """The least decrease of the chi-square that is worth a step."""
 
-    def chance(self, found: Found, args: Any) -> float | Float[Array, ""]:
-        """The decrease of the chi-square that slopes promise by chance and that need not be there."""
-        del found, args
-        return 0.0
+    def by_chance(self, y: Y, found: Found, args: Any) -> bool | Bool[Array, ""]:
+        """Whether slopes promise no more than chance makes them, which need not be there."""
+        del y, found, args
+        return False
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> State:
         del fn, args, f_struct, tags
@@ -80,11 +80,10 @@ class DampedGaussNewton(optx.AbstractMinimiser[Y, Found, State]):
         better, trust = state.trust.judged(jnp.where(usable, cost, jnp.inf))
         y, found = pick(better, state.y_eval, y), pick(better, found, state.found)
         after, predicted = self.moved(y, found, args, trust.damping)
-        idle = ~better & (2 * state.trust.predicted < self.chance(found, args))
-        predicted = jnp.where(idle, 0.0, predicted)
+        idle = ~better & self.by_chance(y, found, args)
         small = 2 * predicted < self.worth(options, trust.cost)
         lost = ~jnp.isfinite(predicted) | (trust.damping > LOST)
-        return y, State(after, found, trust.promised(predicted), small | lost, state.steps + 1), found
+        return y, State(after, found, trust.promised(predicted), small | lost | idle, state.steps + 1), found
 
     def terminate(self, fn, y, args, options, state: State, tags):
         del fn, y, args, tags

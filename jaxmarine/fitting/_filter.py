@@ -47,9 +47,10 @@ STEPS, ENOUGH = 40, 0.1
 # Looks with which sizes come near at most, by how much of itself a size is near, and the least that a step
 # leaves of its square.
 COMING, NEAR, SHRINKING = 6, 0.1, 0.01
-# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind, and
-# the share of what is beyond that is worth a step: the cause of it has yet to be found, and will explain it.
-TOO_FAR, BEYOND = 4.0, 0.01
+# Minus twice the logarithm of a sample's likelihood beyond which a cause is missing, whatever the weather:
+# innovations of exp(8) = 3000 standard deviations of the sensors' noise. And the share of what is beyond it
+# that is worth a step, as the cause that has yet to be found will explain it.
+GROSS, BEYOND = 16.0, 0.01
 # Stands for the improbability of samples along a path that has run away.
 RUN_AWAY = 1e300
 # Variance along a direction, in units of what was expected, that is taken for rounding.
@@ -407,7 +408,7 @@ def _lines_by(
 ) -> tuple[Windowed, Free, Trail]:
     """`lines`, by so many z at a time, so that the program of few z serves for many."""
     given = affine.acts.shape[-1]
-    if width is None or given <= width:
+    if width is None or given == width:
         return lines(problem, affine, force, path, knots, trail)
     parts = [lines(problem, part, force, path, knots, trail) for part in affine.in_parts(width)]
     every, (free, *_), (trail, *_) = zip(*parts, strict=True)
@@ -701,15 +702,25 @@ def _improbable(y: tuple[Array, Path], task: Likelihood) -> tuple[Array, Innovat
     return 0.5 * (found.minus_twice.sum() + (task.precision * z * z).sum()), found
 
 
-def too_far(samples: int | Array, minus_twice: float | Array) -> float | Array:
-    """By how much -2 log p is more than noise and wind explain; below zero where it is less."""
-    return minus_twice - TOO_FAR * samples
-
-
 def worth_a_step(share: float | Array, samples: int | Array, minus_twice: float | Array) -> Array:
     """The decrease of -2 log p that is worth a step; `share`: of it, or of the number of samples."""
-    beyond = BEYOND * jnp.maximum(too_far(samples, minus_twice), 0.0)
+    beyond = BEYOND * jnp.maximum(minus_twice - GROSS * samples, 0.0)
     return jnp.maximum(share * jnp.maximum(samples, minus_twice), beyond)
+
+
+def saved_at_once(
+    z: Float[Array, " z"], found: Innovations, precision: Float[Array, " z"]
+) -> Float[Array, ""]:
+    """The decrease of -2 log p with the prior that slopes promise at z, without any damping."""
+    h, g = found.h.sum(0) + jnp.diag(precision), found.g.sum(0) + precision * z
+    return g @ jax.scipy.linalg.solve(h, g, assume_a="pos")
+
+
+def saved_by_chance(found: Innovations, precision: Float[Array, " z"]) -> Float[Array, ""]:
+    """As much as numbers save that are right as they are, and two standard deviations more."""
+    h = found.h.sum(0)
+    count = jnp.trace(jax.scipy.linalg.solve(h + jnp.diag(precision), h, assume_a="pos"))
+    return count + 2.0 * jnp.sqrt(2.0 * count)
 
 
 class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
@@ -733,13 +744,12 @@ class FilterGaussNewton(DampedGaussNewton[tuple[Array, Path], Innovations]):
         d_z = -jax.scipy.linalg.solve(h + damping * jnp.diag(scale), g, assume_a="pos")
         return (z + d_z, found.path), -(g @ d_z + 0.5 * d_z @ h @ d_z)
 
-    def chance(self, found: Innovations, args: Float[Array, " z"]) -> Float[Array, ""]:
-        # As much as so many numbers save that are right as they are, and two standard deviations more. How
-        # the covariance of what was measured hangs on them is left out of their slopes, so that these may
-        # promise what the likelihood does not keep.
-        h = found.h.sum(0)
-        count = jnp.trace(jax.scipy.linalg.solve(h + jnp.diag(args), h, assume_a="pos"))
-        return count + 2.0 * jnp.sqrt(2.0 * count)
+    def by_chance(
+        self, y: tuple[Array, Path], found: Innovations, args: Float[Array, " z"]
+    ) -> Bool[Array, ""]:
+        # How the covariance of what was measured hangs on the numbers is left out of their slopes, so that
+        # these may promise what the likelihood does not keep.
+        return saved_at_once(y[0], found, args) < saved_by_chance(found, args)
 
     def worth(self, options, cost: Float[Array, ""]) -> Float[Array, ""]:
         # Where it could not be begun, what is worth a step is not known.
