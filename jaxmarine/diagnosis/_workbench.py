@@ -81,11 +81,11 @@ MOST_DAMPING = 0.1
 EXACT = 1e-6
 # Steps of a refit that tells roughly what a model is worth beside a disturbance, and that share of it.
 FEW_STEPS, ROUGH = 3, 1e-4
-# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
-TOO_FAR = 4.0
 # Times that sizes and memories of a disturbance are estimated in turn with all else at most, and nats that
 # are worth one more.
 ESTIMATES, LIKELIER = 4, 0.5
+# Minus twice the logarithm of a sample's likelihood beyond which a model misses more than noise and wind.
+TOO_FAR = 4.0
 # A noise that was raised by this much says that more than it was left.
 RAISED = 1.3
 # Length of a knot of the missing wrench [s]: shorter than what a craft's wrench changes in, long enough
