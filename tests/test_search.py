@@ -133,3 +133,26 @@ def test_a_rough_refit_must_pay_for_its_numbers_by_what_it_saves_and_promises(sa
     member = Member(0, Beginning(0, 30.0) if begins else None)
     refitted = dataclasses.replace(MODEL, cost=10.0, promised=8.0)
     assert _search._pays(Bench(), Trial(member, refitted, saved)) == pays
+
+
+@pytest.mark.parametrize(
+    ("cost", "best", "share"), [(2000.0, 8e3, 2e-3), (100.0, 8e3, 8e-3), (2000.0, 80.0, 1e-4)]
+)
+def test_what_decides_nothing_between_suspects_is_worth_no_step(cost, best, share):
+    """A thousandth of what the best saves, of -2 log p or of 1000 samples, and a ten thousandth of those."""
+    hopeful = [Trial(Member(0), dataclasses.replace(MODEL, cost=one), 1.0) for one in (1.0, cost)]
+    assert _search._decisive(Bench(), hopeful, best) == pytest.approx(share)
+
+
+def test_of_suspects_that_save_a_fifth_of_the_best_the_leading_three_are_tried_with_a_beginning():
+    """Once each, unless it was tried with that beginning already."""
+    begun = {which: Member(which, Beginning(0, 10.0 * which)) for which in range(6)}
+
+    def trials(saved: dict[Member, float]) -> list[Trial]:
+        return [Trial(member, MODEL, worth) for member, worth in saved.items()]
+
+    weak = trials({Member(2): 19.0, Member(1): 21.0, Member(0): 100.0})
+    assert _search._late(weak, begun) == [begun[0], begun[1]]
+    many = trials({Member(0): 90.0, begun[1]: 80.0, Member(2): 70.0, Member(3): 60.0, begun[0]: 100.0})
+    assert _search._late(many, begun) == []
+    assert _search._late(trials({Member(3): 1.0, Member(4): 0.5}), {3: begun[3]}) == [begun[3]]

@@ -244,8 +244,17 @@ def test_where_the_file_has_bent_far_the_likeliest_are_refitted_from_it_as_it_is
 @pytest.mark.parametrize(("best", "hopeful"), [(1.0, [4]), (1e6, [])])
 def test_what_shows_beside_a_quick_disturbance_must_save_half_of_what_the_best_does(best, hopeful):
     bench = Bench(off(s4=0.3))
-    found = _search._hidden(bench, bench.fit(), [Member(4), Member(5)], best)
+    found = _search._hidden(bench, bench.fit(), [Member(4), Member(5)], [], best)
     assert [one.members[-1].suspect for one in found] == hopeful
+
+
+@pytest.mark.parametrize(("costs", "hidden"), [(1.0, [4]), (0.0, [])])
+def test_what_costs_no_less_beside_a_quick_disturbance_is_not_hidden(costs, hidden):
+    bench = Bench(off(s4=0.3))
+    refitted = bench.refine(bench.fit(4))
+    slow = _search.trial_of(bench.fit(), dataclasses.replace(refitted, cost=refitted.cost + costs))
+    found = _search._hidden(bench, bench.fit(), [Member(4)], [slow], 1.0)
+    assert [one.members[-1].suspect for one in found] == hidden
 
 
 @pytest.mark.parametrize("begins", [20.0, 300.0])

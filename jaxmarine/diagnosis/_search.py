@@ -1,7 +1,6 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -385,35 +384,38 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     starts = _leading(_paying(bench, ranked))
     starts += probes(bench, model, max(ranked.values(), default=0.0))
     quick = hurried(model)
-    hidden = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
+    shown = _paying(bench, shortlist(bench, quick, bench.screen(quick))[0])[:HIDDEN]
     progress("refitting the best suspects")
     trials = _roughly(bench, model, starts, FEW_STEPS)
-    best = max([t.saved for t in trials], default=0.0)
-    may_win = [_hoped(t) > HOPEFUL * best and _pays(bench, t) for t in trials]
-    hopeful = list(itertools.compress(trials, may_win))
-    rest = [t for t, may in zip(trials, may_win, strict=True) if not may]
-    always = _always(bench, trials)
-    most = max([2 * t.model.cost for t in hopeful], default=0.0)
-    share = max(ROUGH, SLIGHT * best / max(bench.samples, most))
-    # Some look alike beside either disturbance.
-    slow = {t.member: t.model.cost for t in hopeful}
-    shown = [
-        one
-        for one in _hidden(bench, quick, hidden, best)
-        if not one.cost >= slow.get(one.members[-1], np.inf)
-    ]
+    best, always = max([t.saved for t in trials], default=0.0), _always(bench, trials)
+    hopeful = [t for t in trials if _hoped(t) > HOPEFUL * best and _pays(bench, t)]
+    share = _decisive(bench, hopeful, best)
     refitted = _placed(bench, [t.model for t in hopeful], always, share)
-    refitted += _placed(bench, shown + _in_step(bench, model), {}, share)
+    otherwise = _hidden(bench, quick, shown, hopeful, best) + _in_step(bench, model)
+    refitted += _placed(bench, otherwise, {}, share)
     refitted += _afresh(bench, model, refitted)
-    trials = rest + [trial_of(model, one) for one in refitted]
-    # What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
-    least = WORTHWHILE * max([t.saved for t in trials], default=0.0)
-    leading = [t for t in trials if t.saved > least]
+    trials = [t for t in trials if not any(t is one for one in hopeful)]
+    trials += [trial_of(model, one) for one in refitted]
     tried = {member for member, _ in starts}
-    begun = [(one, None) for one in _begun(with_beginning, leading) if one not in tried]
-    late = [t.model for t in _roughly(bench, model, begun, FEW_STEPS) if _pays(bench, t)]
-    trials += [trial_of(model, one) for one in _placed(bench, late, always, share)]
+    late = [one for one in _late(trials, with_beginning) if one not in tried]
+    begun = [t.model for t in _roughly(bench, model, _leading(late), FEW_STEPS) if _pays(bench, t)]
+    trials += [trial_of(model, one) for one in _placed(bench, begun, always, share)]
     return [t for t in trials if np.isfinite(t.saved) and bench.sound(t.model)]
+
+
+def _decisive(bench: Workbench, hopeful: Sequence[Trial], best: float) -> float:
+    """The share of -2 log p that is worth a step while suspects are compared; `best`: what the best saves."""
+    most = max([2 * t.model.cost for t in hopeful], default=0.0)
+    return max(ROUGH, SLIGHT * best / max(bench.samples, most))
+
+
+def _late(trials: Sequence[Trial], begun: dict[int, Member]) -> list[Member]:
+    """The leading suspects once more, from the time that suits them best, of those that save most.
+
+    What a cause does for half of a log can pass for a disturbance as long as it is thought to act always.
+    """
+    least = WORTHWHILE * max([t.saved for t in trials], default=0.0)
+    return _begun(begun, [t for t in trials if t.saved > least])
 
 
 def _hoped(trial: Trial) -> float:
@@ -455,16 +457,27 @@ def _placed(bench: Workbench, models: Sequence[Model], always: dict[int, float],
     return _refined_each(bench, [one for one in begun if gains(one)], STEPS, share, 1)
 
 
-def _hidden(bench: Workbench, quick: Model, hidden: Sequence[Member], best: float) -> list[Model]:
-    """Models with each of some suspects beside a quick disturbance, of those that are hopeful there, too.
+def _hidden(
+    bench: Workbench, quick: Model, shown: Sequence[Member], hopeful: Sequence[Trial], best: float
+) -> list[Model]:
+    """Models with each of some suspects that a slow disturbance hides: they are hopeful beside a quick one.
 
-    - `best`: what the best suspect saves beside the disturbance as it is.
+    Those that cost no less there than beside the disturbance as it is look alike beside either.
+
+    - `shown`: suspects that pay beside a quick disturbance; `hopeful`: those beside the one as it is, of
+      which the best saves `best`.
     """
-    if not hidden:
+    if not shown:
         return []
-    joined = [_joined(bench, quick, one, None) for one in hidden]
+    joined = [_joined(bench, quick, one, None) for one in shown]
     without, *refitted = _refined_each(bench, [quick, *joined], FEW_STEPS)
-    return [one for one in refitted if trial_of(without, one).saved > HOPEFUL * best]
+    slow = {t.member: t.model.cost for t in hopeful}
+
+    def hides(one: Model) -> bool:
+        alike = one.cost >= slow.get(one.members[-1], np.inf)
+        return trial_of(without, one).saved > HOPEFUL * best and not alike
+
+    return [one for one in refitted if hides(one)]
 
 
 def _in_step(bench: Workbench, model: Model) -> list[Model]:
