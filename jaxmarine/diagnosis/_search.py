@@ -388,14 +388,17 @@ def _likelier(bench: Workbench, model: Model, stats: Reduced, progress: Progress
     progress("refitting the best suspects")
     trials = _roughly(bench, model, starts, FEW_STEPS)
     best, always = max([t.saved for t in trials], default=0.0), _always(bench, trials)
-    hopeful = [t for t in trials if _hoped(t) > HOPEFUL * best and _pays(bench, t)]
+
+    def may_win(trial: Trial) -> bool:
+        return _hoped(trial) > HOPEFUL * best and _pays(bench, trial)
+
+    hopeful, rest = [t for t in trials if may_win(t)], [t for t in trials if not may_win(t)]
     share = _decisive(bench, hopeful, best)
     refitted = _placed(bench, [t.model for t in hopeful], always, share)
     otherwise = _hidden(bench, quick, shown, hopeful, best) + _in_step(bench, model)
     refitted += _placed(bench, otherwise, {}, share)
     refitted += _afresh(bench, model, refitted)
-    trials = [t for t in trials if not any(t is one for one in hopeful)]
-    trials += [trial_of(model, one) for one in refitted]
+    trials = rest + [trial_of(model, one) for one in refitted]
     tried = {member for member, _ in starts}
     late = [one for one in _late(trials, with_beginning) if one not in tried]
     begun = [t.model for t in _roughly(bench, model, _leading(late), FEW_STEPS) if _pays(bench, t)]
