@@ -240,17 +240,109 @@ def test_rows_at_hand_count_as_squares_of_what_a_model_leaves(unchecked):
     assert at_hand == pytest.approx(-0.5 * np.sum(left[:20] ** 2), rel=1e-12)
 
 
-@pytest.mark.parametrize(("here", "nats"), [(-4.0, -4.0), (-2.0, 33.0), (50.0, 33.0)])
-def test_what_rows_at_hand_speak_against_has_no_more_nats_than_they_leave(unchecked, here, nats):
+def test_of_what_begins_elsewhere_older_sums_tell_once_they_are_about_it(unchecked):
+    """Column 2 is a gain's, 3 and 4 are of something that starts elsewhere."""
+    *_, suspects = linear()
+    gain, far = SimpleNamespace(starts=()), SimpleNamespace(starts=({"delay": 0.3},))
+    ledger: Any = object.__new__(_ledger.Ledger)
+    ledger.suspicions = suspects
+    ledger.bench = SimpleNamespace(swinging=(), layout=SimpleNamespace(suspects=(gain, far)))
+    both, neutral = (Member(0, -np.inf), Member(1, -np.inf)), np.zeros(5)
+    ledger.about = Acting(((-np.inf, neutral),))
+    assert ledger._first_elsewhere(both) == [[3, 4]]
+    ledger.about = Acting(((-np.inf, neutral), (8.0, np.eye(5)[3])))
+    assert ledger._first_elsewhere(both) == []
+
+
+@pytest.mark.parametrize(
+    ("said", "nats"),
+    [
+        # 10 nats ought to be said, with a variance of 20: odds of e^3 are passed 11 below them.
+        (-4.0, -4.0),
+        (-2.0, -2.0),
+        (0.0, 33.0),
+        (8.0, 33.0),
+        (50.0, 33.0),
+    ],
+)
+def test_whom_rows_at_hand_say_too_little_of_has_no_more_nats_than_they_leave(unchecked, said, nats):
     """Older rows were summed up by slopes; odds of e^3 are those by which two are told apart."""
     late = Suspect(SensorDelay, "velocity", {"delay": (0,)})
     layout = SimpleNamespace(suspects=(late,))
-    passage = SimpleNamespace(ledger=SimpleNamespace(bench=SimpleNamespace(layout=layout)))
-    field: Any = _rivals.Field(passage, (), SimpleNamespace(level=7.0, at_hand=2.0))
-    told: Any = SimpleNamespace(level=40.0, at_hand=2.0 + here)
+    bench, elsewhere = SimpleNamespace(layout=layout), lambda suspect: False
+    passage = SimpleNamespace(ledger=SimpleNamespace(bench=bench, begins_elsewhere=elsewhere))
+    again = SimpleNamespace(ledger=SimpleNamespace(apart=lambda account, one, other: 10.0))
+    none: Any = SimpleNamespace(level=7.0, at_hand=2.0, passage=again, account=None, known=None, members=())
+    field: Any = _rivals.Field(passage, (), none)
+    told: Any = SimpleNamespace(level=40.0, at_hand=2.0 + said, known=None, members=())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_rivals.Field, "_price", lambda self, member: 0.0)
         assert field._rival(Member(0, -np.inf), told).nats == pytest.approx(nats)
+
+
+def test_models_are_expected_to_be_told_apart_by_half_the_squares_of_what_differs(unchecked):
+    """Blocks whose residuals are linear in three parameters, the last of which acts from the eighth on."""
+    x, _, account, suspects = linear()
+    ledger: Any = object.__new__(_ledger.Ledger)
+    ledger.suspicions, ledger.held, ledger.begun_at = suspects, 20, np.arange(24.0)
+    acts = np.arange(20) >= 8
+    with_one, without = np.array([0.3, -0.1, 0.7]), np.array([0.1, 0.2])
+    differs = x[:20, :, :2] @ (with_one[:2] - without) + acts[:, None] * x[:20, :, 2] * with_one[2]
+    ought = ledger.apart(account, (with_one, (Member(0, 8.0),)), (without, ()))
+    # In white noise of unit variance the logarithm of the ratio of likelihoods has that mean, and twice that
+    # variance; both here to four standard errors of as many draws.
+    assert ought == pytest.approx(0.5 * np.sum(differs**2), rel=1e-12)
+    noise = np.random.default_rng(3).normal(size=(4000, *differs.shape))
+    drawn = 0.5 * np.sum((noise + differs) ** 2 - noise**2, axis=(1, 2))
+    assert drawn.mean() == pytest.approx(ought, abs=4 * np.sqrt(2 * ought / 4000))
+    assert drawn.var() == pytest.approx(2 * ought, rel=4 * np.sqrt(2 / 4000))
+
+
+@pytest.mark.parametrize(
+    ("nats", "order", "gap"),
+    [
+        # All that was ever told counts where it tells of both.
+        ({"gain": (400.0, 20.0, True), "mass": (300.0, 90.0, True)}, ["gain", "mass"], 100.0),
+        # Of a delay rows at hand alone tell: those count, whatever older ones say of a gain.
+        ({"gain": (400.0, 20.0, True), "delay": (90.0, 90.0, False)}, ["delay", "gain"], 70.0),
+        ({"gain": (400.0, 95.0, True), "delay": (90.0, 90.0, False)}, ["gain", "delay"], 5.0),
+        ({"lag": (80.0, 80.0, False), "delay": (90.0, 90.0, False)}, ["delay", "lag"], 10.0),
+        # Of those of which all rows tell the best one is compared, though another has more at hand.
+        (
+            {"gain": (400.0, 20.0, True), "mass": (300.0, 95.0, True), "delay": (90.0, 90.0, False)},
+            ["delay", "mass", "gain"],
+            -5.0,
+        ),
+    ],
+)
+def test_two_are_compared_by_the_rows_that_tell_of_both(nats, order, gap):
+    told: Any = None
+    ranked = _rivals.ranked(
+        [
+            _rivals.Rival(all_, label, ALWAYS, told, here, summed)
+            for label, (all_, here, summed) in nats.items()
+        ]
+    )
+    assert [one.label for one in ranked] == order and ranked[1].behind(ranked[0]) == gap
+
+
+@pytest.mark.parametrize("delay", [0.1, 0.17, 0.3, 0.45, 0.85, 1.3, 1.9])
+def test_a_delay_is_searched_among_the_steps_by_which_samples_show_it(unchecked, monkeypatch, delay):
+    """Of steps of 0.1 s, to the one beside it at most; no craft bears more than 2 s."""
+    late = Suspect(InputDelay, None, {"delay": (0,)}, ({"delay": 0.3},))
+    layout = SimpleNamespace(suspects=(late,), neutral_of=lambda i: np.zeros(1))
+    ledger: Any = SimpleNamespace(bench=SimpleNamespace(layout=layout, dt=0.1), accounts=[None])
+    passage: Any = SimpleNamespace(ledger=ledger)
+
+    def told(passage, members, known, account, since):
+        step = np.ceil(known[-1] / 0.1)
+        return None if known[-1] > 2.0 else SimpleNamespace(level=500 - (step - np.ceil(delay / 0.1)) ** 2)
+
+    monkeypatch.setattr(_rivals, "promised", told)
+    monkeypatch.setattr(_rivals, "possible", lambda told: True)
+    none: Any = SimpleNamespace(passage=passage, known=np.zeros(0), level=0.0)
+    (start,) = _rivals.Field(passage, (), none)._starts(Member(0, ALWAYS))
+    assert abs(np.ceil(start[0] / 0.1) - np.ceil(delay / 0.1)) <= 1
 
 
 def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], float]) -> _rivals.Rival | None:
@@ -277,6 +369,8 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         since=lambda account: [
             Sum(t, seen, np.zeros(0), np.zeros((0, 0))) for t, seen in ((-np.inf, 1000), (8.0, 400))
         ],
+        begins_elsewhere=lambda suspect: True,
+        apart=lambda account, one, other: 0.0,
         begun_within=lambda t: np.array([t - 1.0, t, t + 1.0]) if t > -np.inf else np.zeros(0),
         nats_from=lambda account, model, t: (None, [levels.get((t, -0.1), 0.0)]),
     )
@@ -307,10 +401,31 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
     monkeypatch.setattr(_rivals, "tell", settled)
     monkeypatch.setattr(_rivals, "promised", promised)
     monkeypatch.setattr(_rivals, "possible", lambda told: True)
-    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0), passage=passages)
+    none: Any = SimpleNamespace(
+        level=0.0, at_hand=0.0, known=np.zeros(0), members=(), account=None, passage=passages
+    )
     field: Any = _rivals.Field(passages, (), none)
     member = Member(0, weighed)
     return next(field.sloped([_rivals.Weighed(30.0, member, None)]), None)
+
+
+@pytest.mark.parametrize(("beside_own", "named"), [(230.0, True), (20.0, False)])
+def test_columns_are_exchanged_beside_a_disturbance_of_their_own(unchecked, monkeypatch, beside_own, named):
+    """Beside the one that was estimated of the file, which pushed as they do not, all speaks against it."""
+    first = SimpleNamespace(level=-70.0, at_hand=-80.0, known=np.zeros(0), account="first")
+    own: Any = SimpleNamespace(level=beside_own, at_hand=beside_own, known=np.zeros(0), account="own")
+    passage: Any = SimpleNamespace(
+        ledger=SimpleNamespace(accounts=["file's"]), exchanged=lambda cause: "otherwise"
+    )
+    monkeypatch.setattr(_rivals, "exchanged", lambda passage: [Placed(ExchangedThrusters(), "port+bow")])
+    monkeypatch.setattr(
+        _rivals, "promised", lambda passage, *given: first if passage == "otherwise" else None
+    )
+    monkeypatch.setattr(_rivals, "suited", lambda told, before: own if told is first else None)
+    monkeypatch.setattr(_rivals, "tell", lambda *given: own if given[-1] == "own" else None)
+    none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0))
+    found = list(_rivals.Field(passage, (), none).connected_otherwise(30.0))
+    assert [(one.label, one.nats) for one in found] == [("exchanged_thrusters:port+bow", 230.0)] * named
 
 
 ALWAYS = -np.inf

@@ -64,8 +64,7 @@ def tell(
         before, told = known, promised(passage, members, known, account, since)
         if told is None:
             return None
-        told.passage.ledger.estimate(told.account, told.members)
-        told = estimated(told, before)
+        told = suited(told, before)
         members, known, account = told.members, told.known, told.account
         sums, suspicions = told.passage.ledger.since(account), told.passage.ledger.suspicions
         moved = np.abs(known - before) > suspicions.errors(sums, members)
@@ -92,6 +91,12 @@ def promised(
     if again is None:
         return None
     return estimated(Told(again, tuple(members), known, -np.inf), known)
+
+
+def suited(told: Told, before: Float[np.ndarray, " known"]) -> Told:
+    """With the disturbance that suits its members, and estimated so."""
+    told.passage.ledger.estimate(told.account, told.members)
+    return estimated(told, before)
 
 
 def estimated(told: Told, before: Float[np.ndarray, " known"]) -> Told:

@@ -235,7 +235,7 @@ class Judge:
         best, least = compared[0], Criteria().close
         if self._passing(best):
             return []
-        close = [one.label for one in compared[1:] if one.compared > best.compared - least]
+        close = [one.label for one in compared[1:] if one.behind(best) < least]
         for one in weighed:
             if self.label(one.member.suspect) == best.label and not self._steady(one.member, one.account):
                 close += [WANDERING[wider] for wider in ledger.wandering_as(one.member.suspect)]

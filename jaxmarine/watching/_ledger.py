@@ -162,15 +162,19 @@ class Ledger:
         own.learned, own.gates = account.learned, gates
         for columns in (gate[0] for gate in gates if gate not in before):
             own.close(list(columns))
-        for columns in self._first_swinging(members):
+        for columns in self._first_elsewhere(members):
             own.sums = [one.without(columns) for one in own.sums]
         out.accounts = [own]
         return out
 
-    def _first_swinging(self, members: Sequence[Member]) -> list[list[int]]:
-        """Columns of members that swing and were not told about: sums of another period say nothing."""
-        told, swinging = self.about.at(np.inf), self.bench.swinging
-        columns = (list(self._columns(m.suspect)) for m in members if m.suspect in swinging)
+    def begins_elsewhere(self, suspect: int) -> bool:
+        """Whether slopes at neutral lead nowhere near it: of what swings, those of another period."""
+        return suspect in self.bench.swinging or bool(self.bench.layout.suspects[suspect].starts)
+
+    def _first_elsewhere(self, members: Sequence[Member]) -> list[list[int]]:
+        """Columns of members that begin elsewhere and were not told about: older sums say nothing of them."""
+        told = self.about.at(np.inf)
+        columns = (list(self._columns(m.suspect)) for m in members if self.begins_elsewhere(m.suspect))
         return [some for some in columns if not told[some].any()]
 
     def begun(self) -> Begun:
@@ -321,6 +325,20 @@ class Ledger:
         return -0.5 * float(
             np.sum(minus_twice + np.einsum("bz,bz->b", 2 * g + np.einsum("bzy,by->bz", h, z), z))
         )
+
+    def apart(
+        self,
+        account: Account,
+        one: tuple[Float[np.ndarray, " known"], Sequence[Member]],
+        other: tuple[Float[np.ndarray, " others"], Sequence[Member]],
+    ) -> float:
+        """Nats by which the blocks that are held ought to tell two models apart, known numbers and members.
+
+        Expected if one of them is true; the variance of what blocks say is twice that.
+        """
+        begun, h = self.begun_at[: self.held], account.said[2][: self.held]
+        z, y = (self.suspicions.acting(*each).at(begun) for each in (one, other))
+        return 0.5 * float(np.einsum("bz,bzy,by->", z - y, h, z - y))
 
     def price(self, force: Disturbance) -> float:
         """What the numbers of a disturbance cost [nats]."""

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import minimize_scalar
 
 from ..diagnosis import Criteria
 from ..vehicle import Placed
-from ._anew import Told, exchanged, possible, promised, starts, tell
+from ._anew import Told, exchanged, possible, promised, starts, suited, tell
 from ._evidence import Member, place
 from ._ledger import Account, Ledger
 from ._passage import Passage
@@ -23,6 +24,9 @@ from ._swell import stilled, waves
 HOPEFUL = 0.5
 # Within a block a suspect is tried from every sample, or from every fourth part of it where there are more.
 PARTS = 4
+# Times its start from which the step of a staircase is searched: a delay of 0.3 s from a short one of 0.15 s
+# to one longer than a second, each half of the next, as a search between neighbours has one top to find.
+OCTAVES = np.array([0.5, 1.0, 2.0, 4.0])
 
 
 class Weighed(NamedTuple):
@@ -36,6 +40,7 @@ class Weighed(NamedTuple):
 class Rival(NamedTuple):
     """A suspect with its nats by rows that were told once more about it, and when it began [s].
 
+    - `here`: those of the rows at hand alone. `summed`: whether older rows tell of it as well.
     - `begins`: what its beginning costs [nats] where it is compared with others, 0 of what always was; the
       bound from which one is named counts beginnings as well.
     - `exchanged`: columns of commands, which no number tells; None: the last member of what was told.
@@ -45,12 +50,20 @@ class Rival(NamedTuple):
     label: str
     since: float
     told: Told
+    here: float
+    summed: bool
     begins: float = 0.0
     exchanged: Placed | None = None
 
     @property
     def compared(self) -> float:
         return self.nats - self.begins
+
+    def behind(self, other: "Rival") -> float:
+        """By how many nats another is likelier, by the rows that tell of both."""
+        if self.summed and other.summed:
+            return other.compared - self.compared
+        return other.here - other.begins - (self.here - self.begins)
 
 
 def rivals(
@@ -70,16 +83,26 @@ def rivals(
     out += field.sloped(weighed)
     if not out:
         return []
-    best = max(one.nats for one in out)
     # What the rows, told again, do not bear out needs no other explanation either.
-    if best > HOPEFUL * bound:
-        least = HOPEFUL * max(bound, best)
+    if max(one.nats for one in out) > HOPEFUL * bound:
+        least = HOPEFUL * max(bound, *(one.here for one in out))
         out += [*field.begun_elsewhere(weighed, least), *field.connected_otherwise(least)]
-    out.sort(key=lambda one: -one.compared)
+    out = ranked(out)
     # A disturbance that was found beside the best may suit the rows better without it, too.
     none = field.none
     more = none.passage.ledger.likelihood_beside(out[0].told.account, none.members) - none.level
     return [one._replace(nats=one.nats - max(more, 0.0)) for one in out]
+
+
+def ranked(some: Sequence[Rival]) -> list[Rival]:
+    """The likeliest first, the others by how far they are behind it, by the rows that tell of both."""
+    leaders = [
+        max(summed, key=lambda one: -one.behind(summed[0]))
+        for told in (True, False)
+        if (summed := [one for one in some if one.summed is told])
+    ]
+    best = max(leaders, key=lambda one: -one.behind(leaders[0]))
+    return [best, *sorted((one for one in some if one is not best), key=lambda one: one.behind(best))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,13 +136,13 @@ class Field:
         what is far from the file tell badly when it began, and what seems to have begun soon after the first
         row may always have been there.
         """
-        layout, first = self.ledger.bench.layout, self.ledger.accounts[0]
+        first = self.ledger.accounts[0]
         for _, member, account in weighed:
             model = (*self.members, member)
             known = self.ledger.suspicions.estimate(self.ledger.since(account), model)
             told = tell(self.none.passage, model, known, account, member.since)
             found = [] if told is None else [self._rival(member, told)]
-            for z in starts(layout, member.suspect):
+            for z in self._starts(member):
                 found += self._begun(member, [z], first, max([0.0, *(one.nats for one in found)]))
             if found:
                 yield self._as_ever(self._as_begun(max(found, key=lambda one: one.nats)))
@@ -141,8 +164,35 @@ class Field:
         done = {one.suspect for one in (*self.members, *(one.member for one in weighed))}
         for suspect in range(len(layout.suspects)):
             if suspect not in done:
-                member, some = Member(suspect, since), starts(layout, suspect)
-                yield from map(self._as_ever, self._begun(member, some, self.ledger.accounts[0], least))
+                member = Member(suspect, since)
+                found = self._begun(member, self._starts(member), self.ledger.accounts[0], least)
+                yield from map(self._as_ever, found)
+
+    def _starts(self, member: Member) -> Iterator[Float[np.ndarray, " z"]]:
+        """Parameters from which a suspect has a useful slope: of a staircase the step that promises most.
+
+        No slope leads from one step to the next. So its start is halved and doubled, and between neighbours
+        of the one that promises most, if any promises something, the best is searched to a sample.
+        """
+        bench = self.ledger.bench
+        some = starts(bench.layout, member.suspect)
+        if not bench.layout.suspects[member.suspect].effect.stairs:
+            yield from some
+            return
+        first, members = self.ledger.accounts[0], (*self.members, member)
+
+        def cost(z: float) -> float:
+            told = promised(self.none.passage, members, np.append(self.none.known, z), first, member.since)
+            return self.none.level - told.level if told is not None and possible(told) else np.inf
+
+        for (start,) in some:
+            grid = start * OCTAVES
+            costs = [cost(z) for z in grid]
+            best = float(grid[int(np.argmin(costs))])
+            if min(costs) < 0:
+                bounds, to = (best / 2, best * 2), {"xatol": bench.dt}
+                found = minimize_scalar(cost, bounds=bounds, method="bounded", options=to)
+                yield np.array([found.x if found.fun < min(costs) else best])
 
     def _begun(
         self, member: Member, some: Iterable[Float[np.ndarray, " z"]], account: Account, least: float
@@ -215,25 +265,40 @@ class Field:
         return max([rival, *ever], key=lambda one: one.compared)
 
     def connected_otherwise(self, least: float) -> Iterator[Rival]:
-        """Columns of commands that are exchanged, and promise no less than so much [nats]."""
+        """Columns of commands that are exchanged, and promise no less than so much [nats].
+
+        Beside a disturbance of their own: what was estimated beside the others had to push as they do not.
+        """
+        known = self.none.known
         for cause in exchanged(self.passage):
             other, label = self.passage.exchanged(cause), f"{cause.effect.name}:{cause.target}"
-            told = promised(other, self.members, self.none.known, self.ledger.accounts[0])
-            if told is not None and told.level - self.none.level > least:
+            told = promised(other, self.members, known, self.ledger.accounts[0])
+            if told is None:
+                continue
+            told = suited(told, known)
+            if told.level - self.none.level > least:
                 told = tell(other, self.members, told.known, told.account)
                 if told is not None:
-                    yield Rival(told.level - self.none.level, label, -np.inf, told, exchanged=cause)
+                    nats, here = told.level - self.none.level, told.at_hand - self.none.at_hand
+                    yield Rival(nats, label, -np.inf, told, here, False, exchanged=cause)
 
     def _rival(self, member: Member, told: Told) -> Rival:
-        """With no more nats than the rows at hand leave it, if they speak against it.
+        """With no more nats than the rows at hand leave it, if these say too little for it to be true.
 
-        What older rows say of it was summed up by slopes, which may have been none.
+        What older rows say of it was summed up by slopes, which may have been none. Of what is true rows say
+        as much as they ought to, or more, with a variance of twice that: less is too little where it had to
+        be an accident by the odds at which two are told apart. What rows speak against by as much always is.
         """
-        label = self.ledger.bench.layout.suspects[member.suspect].label
-        nats = told.level - self.none.level - self._price(member)
-        here = told.at_hand - self.none.at_hand
-        nats = min(nats, here) if here < -Criteria().close else nats
-        return Rival(nats, label, member.since, told, self._begins(member.since))
+        label, none = self.ledger.bench.layout.suspects[member.suspect].label, self.none
+        price = self._price(member)
+        nats, said = told.level - none.level - price, told.at_hand - none.at_hand
+        # Beside the disturbance of none, grown to what it takes of the suspect, they ought to say least.
+        models = (told.known, told.members), (none.known, none.members)
+        ought = none.passage.ledger.apart(none.account, *models)
+        if said < ought and (ought - said) ** 2 > 4 * ought * Criteria().close:
+            nats = min(nats, said - price)
+        summed = not self.ledger.begins_elsewhere(member.suspect)
+        return Rival(nats, label, member.since, told, said - price, summed, self._begins(member.since))
 
     def _begins(self, since: float) -> float:
         """What a beginning costs [nats]: as much as a number that is estimated."""
