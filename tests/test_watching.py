@@ -255,29 +255,39 @@ def test_of_what_begins_elsewhere_older_sums_tell_once_they_are_about_it(uncheck
 
 
 @pytest.mark.parametrize(
-    ("said", "nats"),
+    ("ought", "said", "here_alone"),
     [
-        # 10 nats ought to be said, with a variance of 20: odds of e^3 are passed 11 below them.
-        (-4.0, -4.0),
-        (-2.0, -2.0),
-        (0.0, 33.0),
-        (8.0, 33.0),
-        (50.0, 33.0),
+        # 10 nats ought to be said, with a variance of 20: odds of e^3 are passed 10.95 below them.
+        (10.0, -4.0, True),
+        (10.0, -1.0, True),
+        (10.0, -0.9, False),
+        (10.0, 50.0, False),
+        (100.0, 65.0, True),
+        (100.0, 66.0, False),
+        # Where next to nothing ought to be said only what speaks against it by as much is too little.
+        (0.0, -2.9, False),
+        (0.0, -3.1, True),
     ],
 )
-def test_whom_rows_at_hand_say_too_little_of_has_no_more_nats_than_they_leave(unchecked, said, nats):
+def test_whom_rows_at_hand_say_too_little_of_is_judged_by_them_alone(unchecked, ought, said, here_alone):
     """Older rows were summed up by slopes; odds of e^3 are those by which two are told apart."""
     late = Suspect(SensorDelay, "velocity", {"delay": (0,)})
-    layout = SimpleNamespace(suspects=(late,))
-    bench, elsewhere = SimpleNamespace(layout=layout), lambda suspect: False
-    passage = SimpleNamespace(ledger=SimpleNamespace(bench=bench, begins_elsewhere=elsewhere))
-    again = SimpleNamespace(ledger=SimpleNamespace(apart=lambda account, one, other: 10.0))
-    none: Any = SimpleNamespace(level=7.0, at_hand=2.0, passage=again, account=None, known=None, members=())
-    field: Any = _rivals.Field(passage, (), none)
-    told: Any = SimpleNamespace(level=40.0, at_hand=2.0 + said, known=None, members=())
+    ledger = SimpleNamespace(
+        bench=SimpleNamespace(layout=SimpleNamespace(suspects=(late,))),
+        suspicions=SimpleNamespace(columns=(np.eye(1),)),
+        begins_elsewhere=lambda suspect: False,
+        price_of=lambda numbers: 4.0 * numbers,
+        apart=lambda account, one, other: ought,
+    )
+    passage: Any = SimpleNamespace(ledger=ledger)
+    none: Any = SimpleNamespace(level=7.0, at_hand=2.0, passage=passage, account=None, known=None, members=())
+    told: Any = SimpleNamespace(level=207.0, at_hand=2.0 + said, known=None, members=())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_rivals.Field, "_price", lambda self, member: 0.0)
-        assert field._rival(Member(0, -np.inf), told).nats == pytest.approx(nats)
+        patch.setattr(_rivals.Field, "_price", lambda self, member: 5.0)
+        rival = _rivals.Field(passage, (), none)._rival(Member(0, -np.inf), told)
+    # Of all rows a number costs 5 nats, of those at hand 4.
+    assert rival.here == pytest.approx(said - 4.0) and rival.summed != here_alone
+    assert rival.nats == pytest.approx(said - 4.0 if here_alone else 195.0)
 
 
 def test_models_are_expected_to_be_told_apart_by_half_the_squares_of_what_differs(unchecked):
@@ -326,9 +336,17 @@ def test_two_are_compared_by_the_rows_that_tell_of_both(nats, order, gap):
     assert [one.label for one in ranked] == order and ranked[1].behind(ranked[0]) == gap
 
 
-@pytest.mark.parametrize("delay", [0.1, 0.17, 0.3, 0.45, 0.85, 1.3, 1.9])
-def test_a_delay_is_searched_among_the_steps_by_which_samples_show_it(unchecked, monkeypatch, delay):
-    """Of steps of 0.1 s, to the one beside it at most; no craft bears more than 2 s."""
+@pytest.mark.parametrize(
+    ("delay", "most"),
+    [
+        *((delay, 9.0) for delay in (0.1, 0.17, 0.3, 0.45, 0.85, 1.3, 1.9)),
+        (1.1, 1.25),
+        (1.3, 1.35),
+        (0.2, 0.25),
+    ],
+)
+def test_a_delay_is_searched_among_the_steps_by_which_samples_show_it(unchecked, monkeypatch, delay, most):
+    """Of steps of 0.1 s, to the one beside it at most; no craft bears more than a certain delay."""
     late = Suspect(InputDelay, None, {"delay": (0,)}, ({"delay": 0.3},))
     layout = SimpleNamespace(suspects=(late,), neutral_of=lambda i: np.zeros(1))
     ledger: Any = SimpleNamespace(bench=SimpleNamespace(layout=layout, dt=0.1), accounts=[None])
@@ -336,13 +354,20 @@ def test_a_delay_is_searched_among_the_steps_by_which_samples_show_it(unchecked,
 
     def told(passage, members, known, account, since):
         step = np.ceil(known[-1] / 0.1)
-        return None if known[-1] > 2.0 else SimpleNamespace(level=500 - (step - np.ceil(delay / 0.1)) ** 2)
+        return None if known[-1] > most else SimpleNamespace(level=500 - (step - np.ceil(delay / 0.1)) ** 2)
 
     monkeypatch.setattr(_rivals, "promised", told)
     monkeypatch.setattr(_rivals, "possible", lambda told: True)
-    none: Any = SimpleNamespace(passage=passage, known=np.zeros(0), level=0.0)
-    (start,) = _rivals.Field(passage, (), none)._starts(Member(0, ALWAYS))
+    monkeypatch.setattr(_rivals.Field, "_price", lambda self, member: 4.0)
+    field, member = _rivals.Field(passage, (), _none(passage, 0.0)), Member(0, ALWAYS)
+    (start,) = field._starts(member)
     assert abs(np.ceil(start[0] / 0.1) - np.ceil(delay / 0.1)) <= 1
+    # What promises less than its price has none.
+    assert not [*_rivals.Field(passage, (), _none(passage, 497.0))._starts(member)]
+
+
+def _none(passage: Any, level: float) -> Any:
+    return SimpleNamespace(passage=passage, known=np.zeros(0), level=level)
 
 
 def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], float]) -> _rivals.Rival | None:
@@ -358,7 +383,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         columns=(np.eye(1),),
     )
     ledger = SimpleNamespace(
-        bench=SimpleNamespace(layout=layout, steps=4),
+        bench=SimpleNamespace(layout=layout, steps=4, dt=0.25),
         suspicions=suspicions,
         accounts=[None],
         # Blocks of a second, with a sample each quarter.
@@ -370,6 +395,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
             Sum(t, seen, np.zeros(0), np.zeros((0, 0))) for t, seen in ((-np.inf, 1000), (8.0, 400))
         ],
         begins_elsewhere=lambda suspect: True,
+        price_of=lambda numbers: 0.0,
         apart=lambda account, one, other: 0.0,
         begun_within=lambda t: np.array([t - 1.0, t, t + 1.0]) if t > -np.inf else np.zeros(0),
         nats_from=lambda account, model, t: (None, [levels.get((t, -0.1), 0.0)]),
@@ -413,19 +439,20 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
 def test_columns_are_exchanged_beside_a_disturbance_of_their_own(unchecked, monkeypatch, beside_own, named):
     """Beside the one that was estimated of the file, which pushed as they do not, all speaks against it."""
     first = SimpleNamespace(level=-70.0, at_hand=-80.0, known=np.zeros(0), account="first")
-    own: Any = SimpleNamespace(level=beside_own, at_hand=beside_own, known=np.zeros(0), account="own")
+    own: Any = SimpleNamespace(level=beside_own, at_hand=beside_own - 20.0, known=np.zeros(0), account="own")
     passage: Any = SimpleNamespace(
         ledger=SimpleNamespace(accounts=["file's"]), exchanged=lambda cause: "otherwise"
     )
-    monkeypatch.setattr(_rivals, "exchanged", lambda passage: [Placed(ExchangedThrusters(), "port+bow")])
     monkeypatch.setattr(
         _rivals, "promised", lambda passage, *given: first if passage == "otherwise" else None
     )
     monkeypatch.setattr(_rivals, "suited", lambda told, before: own if told is first else None)
     monkeypatch.setattr(_rivals, "tell", lambda *given: own if given[-1] == "own" else None)
     none: Any = SimpleNamespace(level=0.0, at_hand=0.0, known=np.zeros(0))
-    found = list(_rivals.Field(passage, (), none).connected_otherwise(30.0))
-    assert [(one.label, one.nats) for one in found] == [("exchanged_thrusters:port+bow", 230.0)] * named
+    pair = Placed(ExchangedThrusters(), "port+bow")
+    found = list(_rivals.Field(passage, (), none).connected_otherwise([pair], 30.0))
+    said = [(one.label, one.nats, one.here, one.summed) for one in found]
+    assert said == [("exchanged_thrusters:port+bow", 230.0, 210.0, False)] * named
 
 
 ALWAYS = -np.inf
@@ -522,6 +549,58 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
     assert [block for block, _ in decided] == asked
     best = ([one for one in some if one.suspect != 1] for _, some in decided)
     assert all(some == [Member(0, -np.inf), Member(2, 8.5)] for some in best)
+
+
+@pytest.mark.parametrize(
+    ("nats", "here", "says"),
+    [
+        ({"gain": 400.0, "delay": 90.0}, {"gain": 95.0, "delay": 90.0}, ["gain", "delay"]),
+        ({"gain": 400.0, "delay": 90.0}, {"gain": 95.0, "delay": 40.0}, ["gain"]),
+        # Rows at hand are for a delay, of which they are not sure; all rows are sure that something is wrong.
+        ({"gain": 400.0, "delay": 25.0}, {"gain": 20.0, "delay": 25.0}, ["delay", "gain"]),
+        ({"gain": 28.0, "delay": 25.0}, {"gain": 20.0, "delay": 25.0}, []),
+    ],
+)
+def test_one_is_named_that_is_sure_by_all_rows_and_ahead_by_those_that_tell_of_both(
+    unchecked, monkeypatch, nats, here, says
+):
+    told: Any = SimpleNamespace(members=(Member(0, ALWAYS),))
+    some = [_rivals.Rival(nats[one], one, ALWAYS, told, here[one], one == "gain") for one in nats]
+    bench = SimpleNamespace(layout=SimpleNamespace(suspects=("gain",)), length=4.0, swinging=())
+    ledger = SimpleNamespace(t=80.0, bench=bench)
+    judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=ledger), 0.01)
+    judge.bound, said = 30.0, []
+    sure = _rivals.Weighed(50.0, Member(0, ALWAYS), SimpleNamespace())
+    monkeypatch.setattr(judge, "_weighed", lambda suspected: [sure])
+    monkeypatch.setattr(judge, "label", lambda suspect: "another")
+    monkeypatch.setattr(_judge, "rivals", lambda *given: _rivals.ranked(some))
+    monkeypatch.setattr(judge, "_cannot_tell", lambda labels, nats, since: said.extend(labels) or [])
+    monkeypatch.setattr(judge, "_name", lambda best: said.append(best.label) or [])
+    judge._decide([], False)
+    assert said == says
+
+
+@pytest.mark.parametrize(
+    ("full", "swells", "answers", "asks"),
+    [
+        (True, True, [], True),
+        (True, False, [], False),
+        (True, False, ["port+bow"], True),
+        (False, True, ["port+bow"], False),
+    ],
+)
+def test_what_no_slope_tells_is_asked_of_all_rows_that_can_be_at_hand(
+    unchecked, monkeypatch, full, swells, answers, asks
+):
+    """If a swell is a regular wave, and if columns are exchanged where signs say so; after a while again."""
+    bench = SimpleNamespace(layout=SimpleNamespace(suspects=("waves",)), length=4.0, swinging=(0,))
+    account = SimpleNamespace(force=SimpleNamespace(swells=swells))
+    ledger = SimpleNamespace(full=full, blocks=160, accounts=[account], bench=bench)
+    judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=ledger), 0.01)
+    monkeypatch.setattr(_judge, "answered_otherwise", lambda passage: answers)
+    assert judge._unsloped() == asks
+    judge.swell_at, judge.calm = 150, 16
+    assert not judge._unsloped()
 
 
 # --- blocks that are linear about something ------------------------------------------------------

@@ -94,7 +94,10 @@ def promised(
 
 
 def suited(told: Told, before: Float[np.ndarray, " known"]) -> Told:
-    """With the disturbance that suits its members, and estimated so."""
+    """With the disturbance that suits its members, which its account takes, and estimated beside that.
+
+    - `before`: the numbers about which its blocks are linear.
+    """
     told.passage.ledger.estimate(told.account, told.members)
     return estimated(told, before)
 
@@ -116,14 +119,19 @@ def possible(told: Told) -> bool:
 
 def exchanged(passage: Passage) -> list[Placed]:
     """Columns of commands that may be exchanged: each pair of few, of many those that rows answer so."""
-    if ExchangedThrusters not in passage.bench.catalogue:
+    if ExchangedThrusters not in passage.bench.catalogue or not passage.rows.commands.any():
         return []
+    pairs = [one.target for one in ExchangedThrusters.suspects(passage.bench.vehicle)]
+    if len(pairs) > FEW:
+        return answered_otherwise(passage)
+    return [Placed(ExchangedThrusters(), pair) for pair in pairs]
+
+
+def answered_otherwise(passage: Passage) -> list[Placed]:
+    """Columns of commands that are exchanged by the signs of what the craft answers in the rows at hand."""
     rows, vehicle = passage.rows.driven(passage.columns), passage.bench.vehicle
-    if not rows.commands.any():
+    if ExchangedThrusters not in passage.bench.catalogue or not rows.commands.any():
         return []
-    pairs = [Placed(ExchangedThrusters(), one.target) for one in ExchangedThrusters.suspects(vehicle)]
-    if len(pairs) <= FEW:
-        return pairs
     wrong = misconnected(vehicle, [rows.log(vehicle, True, "rows")])
     causes = (cause for one in wrong for cause in (*one.causes, *one.instead))
     return [cause for cause in causes if isinstance(cause.effect, ExchangedThrusters)]

@@ -21,6 +21,7 @@ import numpy as np
 from ..diagnosis import Criteria
 from ..fitting import Wider, unusual, with_current, with_drift
 from ..vehicle import Placed
+from ._anew import answered_otherwise
 from ._evidence import Member, Sum
 from ._ledger import Account, Ledger
 from ._passage import Passage
@@ -52,8 +53,8 @@ class Judge:
     - `estimated_at`: the block at which disturbances were last estimated, -1: never.
     - `asked_at`: that at which rivals were last compared, when there were `asked_with` nats and `asked_about`
       led (`_waits`); `patience`: blocks from one time to the next, doubled each time until all is quiet.
-    - `swell_at`, `calm`: likewise of a swell that may be a wave, which need not ever be quiet; `in_step`:
-      whether it was one when all rows at hand were last asked.
+    - `swell_at`, `calm`: likewise of a swell that may be a wave, which need not ever be quiet, and of columns
+      that may be exchanged; `in_step`: whether it was one when all rows at hand were last asked.
     """
 
     def __init__(self, passage: Passage, false_alarms: float):
@@ -151,16 +152,16 @@ class Judge:
         since, table = self._weigh()
         self.nats = table.max(axis=1)
         waited, rested = ledger.blocks - self.estimated_at, ledger.blocks - self.asked_at
-        sure, swinging = self.nats.max() >= self.bound, self._swinging()
+        sure, unsloped = self.nats.max() >= self.bound, self._unsloped()
         if not sure and waited >= PATIENCE:
             self.undecided, self.patience = (), PATIENCE
         sure = sure and rested >= self._waits()
-        if not (sure or swinging) or 0 < waited < PATIENCE:
+        if not (sure or unsloped) or 0 < waited < PATIENCE:
             return []
-        if swinging:
+        if unsloped:
             self.swell_at, self.calm = ledger.blocks, min(2 * self.calm, MOST_PATIENT)
         if not sure:
-            return self._decide([], swinging)
+            return self._decide([], unsloped)
         self.asked_at, self.patience = ledger.blocks, min(2 * self.patience, MOST_PATIENT)
         suspected = hopeful(since, table)
         if waited:
@@ -170,7 +171,7 @@ class Judge:
             suspected += hopeful(since, table)
         self.asked_with, self.asked_about = float(self.nats.max()), self._within(Criteria().close)
         suspected += self._closely(since, table)
-        return self._decide(list({one.suspect: one for one in suspected}.values()), swinging)
+        return self._decide(list({one.suspect: one for one in suspected}.values()), unsloped)
 
     def _waits(self) -> int:
         """How many blocks to wait until rivals are compared once more: `patience`, or less if rows tell more.
@@ -190,12 +191,18 @@ class Judge:
         assert self.nats is not None
         return np.flatnonzero(self.nats > self.nats.max() - nats).tolist()
 
-    def _swinging(self) -> bool:
-        """Whether to ask if a swell is a regular wave: of all rows that can be at hand."""
+    def _unsloped(self) -> bool:
+        """Whether to ask of what no slope tells, of all rows that can be at hand.
+
+        If a swell is a regular wave, and if columns are exchanged where the craft answers so: what disturbs
+        may have grown to what either does, and then no suspect is likely.
+        """
         ledger = self.ledger
-        due = ledger.full and ledger.blocks - self.swell_at >= self.calm and np.isfinite(self.bound)
+        if not (ledger.full and ledger.blocks - self.swell_at >= self.calm and np.isfinite(self.bound)):
+            return False
         unnamed = {*ledger.bench.swinging} - {one.suspect for one in self.members}
-        return bool(due and unnamed) and ledger.accounts[0].force.swells
+        swings = bool(unnamed) and ledger.accounts[0].force.swells
+        return swings or bool(answered_otherwise(self.passage))
 
     def _weighed(self, suspected: Sequence[Member]) -> list[Weighed]:
         """Suspects by slopes, each beside a disturbance of its own, the best first."""
@@ -208,20 +215,19 @@ class Judge:
             nats, since, account = max(found, key=lambda one: one[0])
             weighed.append(Weighed(nats, Member(member.suspect, since), account))
         # What begins elsewhere has a slope on one side only, which may lead where no craft is.
-        suspects = ledger.bench.layout.suspects
-        weighed = [one for one in weighed if self._sound(one) or suspects[one.member.suspect].starts]
+        weighed = [one for one in weighed if self._sound(one) or ledger.begins_elsewhere(one.member.suspect)]
         # What swings has slopes at a period of its own only.
         weighed = [one for one in weighed if one.member.suspect not in ledger.bench.swinging]
         return sorted(weighed, key=lambda one: -one.nats)
 
-    def _decide(self, suspected: Sequence[Member], swinging: bool) -> list[str]:
+    def _decide(self, suspected: Sequence[Member], unsloped: bool) -> list[str]:
         """Weighs the best suspects, each beside a disturbance of its own, and asks further if one is sure.
 
-        Or if a swell may be a wave.
+        Or if it may be what no slope tells.
         """
         ledger, weighed = self.ledger, self._weighed(suspected)
         sure = [one for one in weighed if one.nats >= self.bound]
-        if not sure and not swinging:
+        if not sure and not unsloped:
             self.undecided = ()
             return []
         compared = rivals(self.passage, self.members, weighed if sure else (), self.bound)
@@ -229,13 +235,14 @@ class Judge:
             sure = [one for one in sure if self._sound(one)]
             if sure:
                 return self._cannot_tell((UNSUSPECTED,), sure[0].nats, sure[0].member.since)
-        if not compared or compared[0].nats < self.bound:
+        if max((one.nats for one in compared), default=-np.inf) < self.bound:
             self.undecided, self.in_step = (), False
             return []
         best, least = compared[0], Criteria().close
         if self._passing(best):
             return []
-        close = [one.label for one in compared[1:] if one.behind(best) < least]
+        # Rows at hand may speak for one of which they are not sure, against one of which all rows are.
+        close = [o.label for o in compared[1:] if o.behind(best) < least or o.nats >= self.bound > best.nats]
         for one in weighed:
             if self.label(one.member.suspect) == best.label and not self._steady(one.member, one.account):
                 close += [WANDERING[wider] for wider in ledger.wandering_as(one.member.suspect)]

@@ -168,7 +168,7 @@ class Ledger:
         return out
 
     def begins_elsewhere(self, suspect: int) -> bool:
-        """Whether slopes at neutral lead nowhere near it: of what swings, those of another period."""
+        """Whether it has starts, as slopes at neutral need not lead to it, or swings, at whatever period."""
         return suspect in self.bench.swinging or bool(self.bench.layout.suspects[suspect].starts)
 
     def _first_elsewhere(self, members: Sequence[Member]) -> list[list[int]]:

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from ..diagnosis import Criteria
 from ..vehicle import Placed
-from ._anew import Told, exchanged, possible, promised, starts, suited, tell
+from ._anew import Told, answered_otherwise, exchanged, possible, promised, starts, suited, tell
 from ._evidence import Member, place
 from ._ledger import Account, Ledger
 from ._passage import Passage
@@ -59,11 +59,15 @@ class Rival(NamedTuple):
     def compared(self) -> float:
         return self.nats - self.begins
 
+    @property
+    def compared_here(self) -> float:
+        return self.here - self.begins
+
     def behind(self, other: "Rival") -> float:
         """By how many nats another is likelier, by the rows that tell of both."""
         if self.summed and other.summed:
             return other.compared - self.compared
-        return other.here - other.begins - (self.here - self.begins)
+        return other.compared_here - self.compared_here
 
 
 def rivals(
@@ -71,13 +75,16 @@ def rivals(
 ) -> list[Rival]:
     """Suspects beside what is named, by the rows at hand told about each, the likeliest first.
 
-    - `weighed`: those that are likely by their slopes, the best first; a swell may be a wave without any.
+    - `weighed`: those that are likely by their slopes, the best first. Without any a swell may be a wave, and
+      columns may be exchanged.
     - `bound` [nats]: from which on one is named.
     """
     field = Field.of(passage, members)
     if field is None:
         return []
     out = list(field.swung())
+    if not weighed:
+        out += field.connected_otherwise(answered_otherwise(passage), HOPEFUL * bound)
     if max((one.nats for one in (*weighed, *out)), default=-np.inf) < HOPEFUL * bound:
         return out
     out += field.sloped(weighed)
@@ -86,7 +93,9 @@ def rivals(
     # What the rows, told again, do not bear out needs no other explanation either.
     if max(one.nats for one in out) > HOPEFUL * bound:
         least = HOPEFUL * max(bound, *(one.here for one in out))
-        out += [*field.begun_elsewhere(weighed, least), *field.connected_otherwise(least)]
+        out += field.begun_elsewhere(weighed, least)
+        if weighed:
+            out += field.connected_otherwise(exchanged(passage), least)
     out = ranked(out)
     # A disturbance that was found beside the best may suit the rows better without it, too.
     none = field.none
@@ -95,13 +104,14 @@ def rivals(
 
 
 def ranked(some: Sequence[Rival]) -> list[Rival]:
-    """The likeliest first, the others by how far they are behind it, by the rows that tell of both."""
-    leaders = [
-        max(summed, key=lambda one: -one.behind(summed[0]))
-        for told in (True, False)
-        if (summed := [one for one in some if one.summed is told])
-    ]
-    best = max(leaders, key=lambda one: -one.behind(leaders[0]))
+    """The likeliest first, the others by how far they are behind it, by the rows that tell of both.
+
+    All rows and those at hand may lead in a circle: another is likelier than the first then, and none sure.
+    """
+    summed, others = [one for one in some if one.summed], [one for one in some if not one.summed]
+    leaders = [max(summed, key=lambda one: one.compared)] if summed else []
+    leaders += [max(others, key=lambda one: one.compared_here)] if others else []
+    best = min(leaders, key=lambda one: one.behind(leaders[0]))
     return [best, *sorted((one for one in some if one is not best), key=lambda one: one.behind(best))]
 
 
@@ -172,27 +182,33 @@ class Field:
         """Parameters from which a suspect has a useful slope: of a staircase the step that promises most.
 
         No slope leads from one step to the next. So its start is halved and doubled, and between neighbours
-        of the one that promises most, if any promises something, the best is searched to a sample.
+        of the one that promises most, if that is more than its price, the best is searched to a sample.
         """
-        bench = self.ledger.bench
+        bench, first = self.ledger.bench, self.ledger.accounts[0]
         some = starts(bench.layout, member.suspect)
         if not bench.layout.suspects[member.suspect].effect.stairs:
             yield from some
             return
-        first, members = self.ledger.accounts[0], (*self.members, member)
 
         def cost(z: float) -> float:
-            told = promised(self.none.passage, members, np.append(self.none.known, z), first, member.since)
-            return self.none.level - told.level if told is not None and possible(told) else np.inf
+            told = self._promised(member, np.array([z]), first)
+            # What no craft bears is worse than none, and the worse the more, as a search has to turn back.
+            return z if told is None else self.none.level - told.level
 
         for (start,) in some:
             grid = start * OCTAVES
             costs = [cost(z) for z in grid]
             best = float(grid[int(np.argmin(costs))])
-            if min(costs) < 0:
+            if min(costs) < -self._price(member):
                 bounds, to = (best / 2, best * 2), {"xatol": bench.dt}
                 found = minimize_scalar(cost, bounds=bounds, method="bounded", options=to)
                 yield np.array([found.x if found.fun < min(costs) else best])
+
+    def _promised(self, member: Member, z: Float[np.ndarray, " z"], account: Account) -> Told | None:
+        """What slopes promise of a suspect at some parameters; None where no craft has it so."""
+        known, members = np.append(self.none.known, z), (*self.members, member)
+        told = promised(self.none.passage, members, known, account, member.since)
+        return told if told is not None and possible(told) else None
 
     def _begun(
         self, member: Member, some: Iterable[Float[np.ndarray, " z"]], account: Account, least: float
@@ -201,14 +217,10 @@ class Field:
 
         Beside the disturbance of an account.
         """
-        hopeful, members = [], (*self.members, member)
-        for z in some:
-            known = np.append(self.none.known, z)
-            told = promised(self.none.passage, members, known, account, member.since)
-            if told is not None and possible(told) and self._rival(member, told).nats > least:
-                hopeful.append((told.level, told.known))
-        for _, known in sorted(hopeful, key=lambda one: -one[0]):
-            told = tell(self.none.passage, members, known, account, member.since)
+        every = (self._promised(member, z, account) for z in some)
+        hopeful = [told for told in every if told is not None and self._rival(member, told).nats > least]
+        for one in sorted(hopeful, key=lambda told: -told.level):
+            told = tell(self.none.passage, (*self.members, member), one.known, account, member.since)
             if told is not None:
                 yield self._rival(member, told)
                 return
@@ -264,13 +276,13 @@ class Field:
         ever = self._begun(Member(suspect, -np.inf), [z], rival.told.account, rival.compared)
         return max([rival, *ever], key=lambda one: one.compared)
 
-    def connected_otherwise(self, least: float) -> Iterator[Rival]:
-        """Columns of commands that are exchanged, and promise no less than so much [nats].
+    def connected_otherwise(self, causes: Iterable[Placed], least: float) -> Iterator[Rival]:
+        """Columns of commands that may be exchanged, and promise no less than so much [nats] if they are.
 
         Beside a disturbance of their own: what was estimated beside the others had to push as they do not.
         """
         known = self.none.known
-        for cause in exchanged(self.passage):
+        for cause in causes:
             other, label = self.passage.exchanged(cause), f"{cause.effect.name}:{cause.target}"
             told = promised(other, self.members, known, self.ledger.accounts[0])
             if told is None:
@@ -280,25 +292,28 @@ class Field:
                 told = tell(other, self.members, told.known, told.account)
                 if told is not None:
                     nats, here = told.level - self.none.level, told.at_hand - self.none.at_hand
-                    yield Rival(nats, label, -np.inf, told, here, False, exchanged=cause)
+                    yield Rival(nats, label, -np.inf, told, here, summed=False, exchanged=cause)
 
     def _rival(self, member: Member, told: Told) -> Rival:
-        """With no more nats than the rows at hand leave it, if these say too little for it to be true.
+        """By the rows at hand alone, if these say too little for what older ones say to be true.
 
         What older rows say of it was summed up by slopes, which may have been none. Of what is true rows say
         as much as they ought to, or more, with a variance of twice that: less is too little where it had to
-        be an accident by the odds at which two are told apart. What rows speak against by as much always is.
+        be an accident by the odds at which two are told apart. Where they ought to say next to nothing, it
+        is too little that they speak against it by those odds.
         """
-        label, none = self.ledger.bench.layout.suspects[member.suspect].label, self.none
-        price = self._price(member)
-        nats, said = told.level - none.level - price, told.at_hand - none.at_hand
+        ledger, none, close = self.ledger, self.none, Criteria().close
+        width = ledger.suspicions.columns[member.suspect].shape[1]
+        nats, said = told.level - none.level - self._price(member), told.at_hand - none.at_hand
+        here = said - none.passage.ledger.price_of(width)
         # Beside the disturbance of none, grown to what it takes of the suspect, they ought to say least.
         models = (told.known, told.members), (none.known, none.members)
-        ought = none.passage.ledger.apart(none.account, *models)
-        if said < ought and (ought - said) ** 2 > 4 * ought * Criteria().close:
-            nats = min(nats, said - price)
-        summed = not self.ledger.begins_elsewhere(member.suspect)
-        return Rival(nats, label, member.since, told, said - price, summed, self._begins(member.since))
+        ought = max(none.passage.ledger.apart(none.account, *models), close)
+        summed = not ledger.begins_elsewhere(member.suspect)
+        if here < nats and said < ought and (ought - said) ** 2 > 4 * ought * close:
+            nats, summed = here, False
+        label = ledger.bench.layout.suspects[member.suspect].label
+        return Rival(nats, label, member.since, told, here, summed, self._begins(member.since))
 
     def _begins(self, since: float) -> float:
         """What a beginning costs [nats]: as much as a number that is estimated."""
