@@ -554,7 +554,7 @@ def test_rivals_are_asked_anew_once_rows_tell_more_or_patience_ends(unchecked, m
 @pytest.mark.parametrize(
     ("nats", "here", "says"),
     [
-        ({"gain": 400.0, "delay": 90.0}, {"gain": 95.0, "delay": 90.0}, ["gain", "delay"]),
+        ({"gain": 400.0, "delay": 93.0}, {"gain": 95.0, "delay": 93.0}, ["gain", "delay"]),
         ({"gain": 400.0, "delay": 90.0}, {"gain": 95.0, "delay": 40.0}, ["gain"]),
         # Rows at hand are for a delay, of which they are not sure; all rows are sure that something is wrong.
         ({"gain": 400.0, "delay": 25.0}, {"gain": 20.0, "delay": 25.0}, ["delay", "gain"]),
