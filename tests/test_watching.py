@@ -254,6 +254,21 @@ def test_of_what_begins_elsewhere_older_sums_tell_once_they_are_about_it(uncheck
     assert ledger._first_elsewhere(both) == []
 
 
+@pytest.mark.parametrize(("label", "kept"), [("input_delay", False), ("added_mass:surge", True)])
+def test_rows_told_again_about_what_begins_elsewhere_leave_older_sums_of_it_behind(label, kept):
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    ledger = _ledger.Ledger(Bench.with_noise(boat(), noise, DT, (InputDelay, AddedMass)))
+    member = Member([one.label for one in ledger.bench.layout.suspects].index(label), ALWAYS)
+    (account,), size = ledger.accounts, ledger.bench.layout.size
+    account.sums = [Sum(-np.inf, 100, np.ones(size), np.ones((size, size)))]
+    known = np.zeros(len(ledger.bench.base) + 1)
+    (own,) = ledger.anew(known, [member], account, 0).accounts
+    acts = np.full(size, True)
+    acts[[*ledger._columns(member.suspect)]] = kept
+    np.testing.assert_array_equal(own.sums[-1].g, acts)
+    np.testing.assert_array_equal(own.sums[-1].h, np.outer(acts, acts))
+
+
 @pytest.mark.parametrize(
     ("ought", "said", "here_alone"),
     [
