@@ -33,9 +33,8 @@ def test_the_page_has_the_numbers_of_the_study():
     assert sum({*row["diagnosed"]} > {*study.named(row)} for row in other) == 1
     assert "one has a name less" in page
     wrong = [row for row in other if study.named(row)[0] not in row["diagnosed"]]
-    assert (
-        len(wrong) == 1 and "one is named wrongly: a fluid memory in sway, of 20 nats, for the linear" in page
-    )
+    assert len(wrong) == 1
+    assert "one is named wrongly: a fluid memory in sway, of 20 nats, for the linear damping there" in page
     assert [study.group(row) for row in wrong] == ["feedback"]
     assert (study.named(wrong[0]), round(wrong[0]["named"][0]["nats"])) == (["fluid_memory:sway"], 20)
     assert wrong[0]["hidden"] == [["linear_damping", "sway"]]

@@ -398,7 +398,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         columns=(np.eye(1),),
     )
     ledger = SimpleNamespace(
-        bench=SimpleNamespace(layout=layout, steps=4, dt=0.25),
+        bench=SimpleNamespace(layout=layout, steps=4),
         suspicions=suspicions,
         accounts=[None],
         # Blocks of a second, with a sample each quarter.
@@ -582,8 +582,7 @@ def test_one_is_named_that_is_sure_by_all_rows_and_ahead_by_those_that_tell_of_b
     told: Any = SimpleNamespace(members=(Member(0, ALWAYS),))
     some = [_rivals.Rival(nats[one], one, ALWAYS, told, here[one], one == "gain") for one in nats]
     bench = SimpleNamespace(layout=SimpleNamespace(suspects=("gain",)), length=4.0, swinging=())
-    ledger = SimpleNamespace(t=80.0, bench=bench)
-    judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=ledger), 0.01)
+    judge: Any = _judge.Judge(SimpleNamespace(bench=bench, ledger=SimpleNamespace(bench=bench)), 0.01)
     judge.bound, said = 30.0, []
     sure = _rivals.Weighed(50.0, Member(0, ALWAYS), SimpleNamespace())
     monkeypatch.setattr(judge, "_weighed", lambda suspected: [sure])
