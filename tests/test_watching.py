@@ -38,6 +38,7 @@ from jaxmarine.effects import (
 from jaxmarine.fitting import (
     PLANE,
     Disturbance,
+    Line,
     Message,
     Records,
     Trail,
@@ -52,7 +53,7 @@ from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
 from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
-from jaxmarine.watching._blocks import LONG, WINDOW, Begun, Bench, Place
+from jaxmarine.watching._blocks import LONG, WINDOW, Begun, Bench, Place, averaged
 from jaxmarine.watching._evidence import Acting, Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
 from jaxmarine.watching._page import disturbance_of
@@ -206,6 +207,53 @@ def test_a_block_is_as_short_as_two_samples_where_half_a_second_has_fewer(rate, 
     """Longer ones bend: what gusts do within one is no longer linear, and slow logs get false names."""
     steps = max(4, round(WINDOW * rate))
     assert steps // parts_of(steps, 1 / rate) == samples
+
+
+def test_samples_taken_together_measure_the_mean_of_what_each_does(unchecked):
+    """As sums of all that leads from a first state and from pushes to each sample; some were not seen."""
+    rng, state, pushes, rows, together, groups = np.random.default_rng(0), 3, 2, 4, 3, 2
+    count, driven = together * groups, state + pushes
+    f, h = rng.normal(size=(count, state, driven)), rng.normal(size=(count, rows, driven))
+    residual, seen = rng.normal(size=(count, rows, 5)), rng.random((count, rows)) < 0.7
+    seen[:together, 0] = False
+    h, residual = h * seen[..., None], residual * seen[..., None]
+    dt, by_plane = rng.random(count), rng.normal(size=(count, pushes, PLANE))
+    line = Line(*map(jnp.asarray, (f, h, residual, dt, by_plane, np.eye(state))))
+
+    def measured(f, h, pushed):
+        """What each sample shows by the first state, and by what pushes in each group, and the last state."""
+        by, out = np.eye(state, state + groups * pushes), []
+        for step in range(len(f)):
+            push = np.eye(groups * pushes)[pushes * pushed[step] :][:pushes]
+            both = np.concatenate([by, np.concatenate([np.zeros((pushes, state)), push], axis=1)])
+            by = f[step] @ both
+            out.append(h[step] @ both)
+        return np.array(out), by
+
+    taken = averaged(line, seen, together)
+    alone, end = measured(f, h, np.repeat(np.arange(groups), together))
+    own, own_end = measured(np.asarray(taken.f), np.asarray(taken.h), np.arange(groups))
+    np.testing.assert_allclose(own_end, end, rtol=1e-12, atol=1e-12)
+    for mine, theirs in ((own, alone), (np.asarray(taken.residual), residual)):
+        for group in range(groups):
+            here = slice(together * group, together * (group + 1))
+            for row in range(rows):
+                # The mean of n numbers with a noise of one has one of one by the root of n.
+                n = max(seen[here, row].sum(), 1)
+                expected = theirs[here, row].sum(axis=0) / n * np.sqrt(n)
+                np.testing.assert_allclose(mine[group, row], expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(taken.dt, dt.reshape(groups, together).sum(axis=1))
+    np.testing.assert_array_equal(taken.by_plane, by_plane[::together])
+
+
+@pytest.mark.parametrize(
+    ("rate", "steps", "together"), [(100.0, 50, 5), (50.0, 24, 2), (20.0, 10, 1), (10.0, 5, 1), (1.0, 2, 1)]
+)
+def test_samples_within_a_twentieth_of_a_second_are_taken_together(rate, steps, together):
+    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+    bench = Bench.with_noise(boat(), noise, 1 / rate, (ThrusterGain,))
+    assert (bench.steps, bench.together) == (steps, together)
+    assert bench.empty.line.f.shape[0] == steps // together
 
 
 @pytest.mark.parametrize(
@@ -413,7 +461,7 @@ def rival_of(monkeypatch, weighed: float, levels: dict[tuple[float, float], floa
         price_of=lambda numbers: 0.0,
         apart=lambda account, one, other: 0.0,
         begun_within=lambda t: np.array([t - 1.0, t, t + 1.0]) if t > -np.inf else np.zeros(0),
-        nats_from=lambda account, model, t: (None, [levels.get((t, -0.1), 0.0)]),
+        nats_from=lambda account, model, times: [(None, [levels.get((t, -0.1), 0.0)]) for t in times],
     )
     passages = SimpleNamespace(ledger=ledger, rows=SimpleNamespace(t=np.arange(48) / 4))
 
@@ -768,7 +816,9 @@ def test_who_begins_within_a_window_is_in_nothing_before(begun, named):
         assert after.add(window, Place(*(one[k] for one in ledger.places))) is not None
     account = after.accounts[0]
     since = since_each(account, [0, first], after.begun_at[: after.held], after.counts)
-    told, nats = ledger.nats_from(ledger.accounts[0], members, begins)
+    # Behind another beginning, and before one.
+    some = [float(ledger.begun_at[first - 2]), begins, float(ledger.begun_at[first + 1])]
+    _, (told, nats), _ = ledger.nats_from(ledger.accounts[0], members, some)
     assert (told.t, told.seen) == (begins, since[1].seen)
     # To what rounding leaves of a hundred nats.
     np.testing.assert_allclose(nats, after.suspicions.nats(since, members)[:, 1], rtol=1e-7, atol=1e-7)

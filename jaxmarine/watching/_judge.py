@@ -131,12 +131,13 @@ class Judge:
         """
         ledger, levels = self.ledger, self._levels()
         columns = {one.t: (one, nats) for one, nats in zip(since, table.T, strict=True)}
-        for t in sorted({float(t) for one in hopeful(since, table) for t in ledger.begun_within(one.since)}):
-            told = [ledger.nats_from(one, self.members, t) for one in ledger.accounts]
+        times = sorted({float(t) for one in hopeful(since, table) for t in ledger.begun_within(one.since)})
+        every = [ledger.nats_from(one, self.members, times) for one in ledger.accounts]
+        for t, *told in zip(times, *every, strict=True):
             nats = [nats + level for (_, nats), level in zip(told, levels, strict=True)]
             columns[t] = told[0][0], np.max(nats, axis=0) - max(levels)
-        every, nats = zip(*columns.values(), strict=True)
-        return hopeful(every, np.array(nats).T)
+        sums, nats = zip(*columns.values(), strict=True)
+        return hopeful(sums, np.array(nats).T)
 
     def _leading(self) -> Member | None:
         since, table = self._weigh()

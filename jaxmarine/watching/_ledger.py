@@ -246,8 +246,8 @@ class Ledger:
         for kept, new in zip(self.places, place, strict=True):
             kept[k] = new
         for account in self.accounts:
-            own = acting_in(window, np.array(place.begins), account.gates)
-            said, account.message = passed(account.message, own, account.force, self.bench.spread)
+            acts = acting(account.gates, np.array(place.begins), window.end.shape[-1])
+            said, account.message = passed(account.message, window, acts, account.force, self.bench.spread)
             for kept, new in zip(account.said, said, strict=True):
                 kept[k] = new
         self.held, self.blocks = k + 1, self.blocks + 1
@@ -291,22 +291,33 @@ class Ledger:
         begun = self.begun_at[int(self.blocks == self.held) : self.held]
         return begun[np.abs(begun - t) < self.bench.length - 1e-9]
 
-    def nats_from(self, account: Account, members: Sequence[Member], t: float) -> tuple[Sum, np.ndarray]:
-        """What was said from a block on, and nats of every suspect that begins with it.
+    def nats_from(
+        self, account: Account, members: Sequence[Member], times: Sequence[float]
+    ) -> list[tuple[Sum, Float[np.ndarray, " suspects"]]]:
+        """What was said from each of some blocks on, in order, and nats of every suspect that begins with it.
 
         Within a window a state is where a suspect would have taken it that had acted before. So blocks are
         filtered without a trace of any but of the file's own coefficients, which act anyway, and of members'.
+        Those before a beginning are for all later ones the same.
         """
-        own = account.branched()
+        before, out = account.branched(), []
         suspects = range(len(self.suspicions.columns))
         acting = {*self.suspicions.base.tolist(), *(c for m in members for c in self._columns(m.suspect))}
-        begins = {column for i in suspects for column in self._columns(i)} - acting
-        own.gates = (*self._gates(account, members), (tuple(sorted(begins)), t))
-        self._replay(own)
-        since = self.since(own)
-        of_members = (since[place(since, m.since)] for m in members)
-        some = [since[0], *of_members, since[place(since, t)]]
-        return some[-1], self.nats(own, some, members)[:, -1]
+        begins = tuple(sorted({column for i in suspects for column in self._columns(i)} - acting))
+        gates = self._gates(account, members)
+        before.gates = (*gates, (begins, np.inf))
+        message, done = self._opened(before), 0
+        for t in times:
+            k = self.block_of(t)
+            message, done = self._filter(before, message, done, k), k
+            own = before.branched()
+            own.gates = (*gates, (begins, t))
+            self._filter(own, message, k, self.held)
+            since = self.since(own)
+            of_members = (since[place(since, m.since)] for m in members)
+            some = [since[0], *of_members, since[place(since, t)]]
+            out.append((some[-1], self.nats(own, some, members)[:, -1]))
+        return out
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
@@ -481,23 +492,26 @@ class Ledger:
 
     def _replay(self, account: Account) -> None:
         """Filters the blocks that are held once more, from where they begin."""
+        account.message = self._filter(account, self._opened(account), 0, self.held)
+
+    def _opened(self, account: Account) -> Message:
+        """What is known where the blocks that are held begin."""
         message = account.before
         for columns, since in account.gates:
             if since >= self.begun_at[0]:
                 message = closed(message, list(columns))
-        for first in (0, CHUNK):
-            count = min(max(self.held - first, 0), CHUNK)
-            if count:
-                message = self._filter(account, message, first, count)
-        account.message = message
+        return message
 
-    def _filter(self, account: Account, message: Message, first: int, count: int) -> Message:
-        """So many blocks from one on; what they leave."""
-        part: Windowed = jax.tree.map(lambda a: a[first : first + CHUNK], self.windows)
-        part = acting_in(part, self.begun_at[first : first + CHUNK], account.gates)
-        said, message = replayed(message, part, account.force, self.bench.spread, jnp.asarray(count))
-        for kept, new in zip(account.said, said, strict=True):
-            kept[first : first + CHUNK] = new
+    def _filter(self, account: Account, message: Message, first: int, after: int) -> Message:
+        """Blocks from one on, up to another; what they leave."""
+        for start in range(first // CHUNK * CHUNK, after, CHUNK):
+            part: Windowed = jax.tree.map(lambda a, k=start: a[k : k + CHUNK], self.windows)
+            acts = acting(account.gates, self.begun_at[start : start + CHUNK], part.end.shape[-1])
+            here = slice(max(first, start), min(after, start + CHUNK))
+            inside = jnp.asarray(here.start - start), jnp.asarray(here.stop - start)
+            said, message = replayed(message, part, acts, account.force, self.bench.spread, *inside)
+            for kept, new in zip(account.said, said, strict=True):
+                kept[here] = new[here.start - start : here.stop - start]
         return message
 
     # --- memory ----------------------------------------------------------------------------------
@@ -540,13 +554,14 @@ def closed(message: Message, columns: list[int]) -> Message:
     )
 
 
-def acting_in(blocks: Windowed, begun_at: Float[np.ndarray, "*blocks"], gates: Sequence[Gate]) -> Windowed:
-    """One block or several without a trace of what has not begun in them."""
-    for columns, since in gates:
-        acts = np.ones((*begun_at.shape, blocks.end.shape[-1]))
-        acts[..., list(columns)] = (begun_at >= since - 1e-9)[..., None]
-        blocks = blocks.told(blocks.line.residual * acts[..., None, None, :], blocks.end * acts[..., None, :])
-    return blocks
+def acting(
+    gates: Sequence[Gate], begun_at: Float[np.ndarray, "*blocks"], columns: int
+) -> Float[np.ndarray, "*blocks columns"]:
+    """Whether columns have begun where blocks begin [s]: 1, or 0 of those behind a gate until then."""
+    acts = np.ones((*begun_at.shape, columns))
+    for behind, since in gates:
+        acts[..., list(behind)] = (begun_at >= since - 1e-9)[..., None]
+    return acts
 
 
 def since_each(account: Account, first: Sequence[int], begun, counts) -> list[Sum]:

@@ -237,19 +237,19 @@ class Field:
         *model, member = rival.told.members
         longer = (*model, member._replace(since=times[0]))
 
-        def suits(t: float) -> float:
-            assert told is not None
-            return told.passage.ledger.nats_from(told.account, model, t)[1][member.suspect]
+        def best_of(told: Told, some: list[float]) -> float:
+            each = told.passage.ledger.nats_from(told.account, model, some)
+            return some[int(np.argmax([nats[member.suspect] for _, nats in each]))]
 
         told = promised(self.none.passage, longer, rival.told.known, rival.told.account, times[0])
         if told is None:
             return rival
-        best = max(times, key=suits)
+        best = best_of(told, times)
         within = self._within(best, times[0])
         if within:
             told = promised(told.passage, longer, rival.told.known, told.account, within[0], within)
             if told is not None:
-                best = max([best, *within], key=suits)
+                best = best_of(told, sorted([best, *within]))
         begun = member._replace(since=best)
         if begun == member:
             return rival
