@@ -11,9 +11,8 @@ import pytest
 from jaxmarine._types import CHANNELS
 from jaxmarine.diagnosis import diagnose
 from jaxmarine.effects import ThrusterGain
-from jaxmarine.fitting import check, cut, fit, noise_of, reviewed
+from jaxmarine.fitting import check, cut, driven, fit, noise_of, reviewed
 from jaxmarine.fitting._clock import ClockOffset, clock_offset
-from jaxmarine.fitting._driven import driven
 from jaxmarine.logs import Log, smooth_states
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Damping, Placed, Vehicle

@@ -18,6 +18,7 @@ from jaxmarine.diagnosis._amid import amid_more
 from jaxmarine.diagnosis._explanation import Beside, Member, Model
 from jaxmarine.diagnosis._innovations import log_score, remembered, whiten
 from jaxmarine.diagnosis._prepare import workbench
+from jaxmarine.diagnosis._signals import samples_at
 from jaxmarine.diagnosis._workbench import SLOTS, Workbench
 from jaxmarine.disturbances import RandomWrench
 from jaxmarine.effects import LinearDamping, QuadraticDamping, SensorDelay, SteadyCurrent, Waves, WindPush
@@ -617,6 +618,14 @@ def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
     apart, lasts = _knots.at_knots(bench, model), shapes[..., 0].reshape(len(t), -1)
     of_windows = apart.h[:, -6 * bench.knots :, -6 * bench.knots :]
     assert 4 * h[-2, -2] < np.einsum("wi,wij,wj->", lasts, of_windows, lasts)
+
+
+def test_a_knot_has_the_wrench_that_was_commanded_there(disturbed):
+    bench, _ = disturbed
+    (log,) = bench.data.logs
+    commanded = log.wrench[samples_at(bench.cut, bench.knots)] * bench.vehicle.free
+    np.testing.assert_allclose(bench.places.driven, commanded, atol=1e-12)
+    assert np.ptp(commanded) > 1.0
 
 
 def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):

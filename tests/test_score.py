@@ -232,7 +232,7 @@ def test_couplings_are_what_inverse_dynamics_asks_for_where_they_are_doubled():
     t = np.arange(5) * 0.5
     nu_dot = rng.normal(size=(2, 1, 6))
     nu = rng.normal(size=(2, 1, 6)) + nu_dot * t[:, None]
-    where = Places(np.tile(t, (2, 1)), np.zeros(2, int), np.tile(np.eye(3), (2, 5, 1, 1)), nu, {}, {})
+    where = Places(np.tile(t, (2, 1)), np.zeros(2, int), np.tile(np.eye(3), (2, 5, 1, 1)), nu, nu, {}, {})
     found = couplings(vehicle, where)
 
     def doubled(matrix):

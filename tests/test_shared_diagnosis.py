@@ -217,6 +217,7 @@ def test_places_know_which_windows_they_have(logs):
     np.testing.assert_allclose(there.data.speeds, one.data.speeds, rtol=1e-12)
     assert there.split == one.split
     np.testing.assert_allclose(there.places.t, one.places.t)
+    np.testing.assert_allclose(there.places.driven, one.places.driven, atol=1e-9)
     for name, values in one.places.signals.items():
         np.testing.assert_allclose(there.places.signals[name], values, atol=1e-12)
     for name, values in one.places.played.items():

@@ -563,6 +563,7 @@ def _places(t: np.ndarray) -> Places:
         t=t,
         rotation=np.broadcast_to(np.eye(3), (*shape, 3, 3)),
         velocity=np.zeros((*shape, 6)),
+        driven=np.zeros((*shape, 6)),
         signals={},
         played={},
     )

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY
-from ..fitting import Cut
+from ..fitting import Cut, driven
 from ..logs import Log, smooth_states
 from ..physics import from_euler, rotation
 from ..vehicle import Vehicle
@@ -27,6 +27,7 @@ class Places:
 
     - `t` in its log's own time [s], `log` [windows]; `rotation` from body to world axes.
     - `velocity`: linear [m/s] and angular [rad/s] in body axes.
+    - `driven`: the wrench that commands give, `o`, body axes [N, N m].
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
     - `played`: per thruster what play operators of several widths make of its command, without the
       command and in shares of their width. Every hysteresis without creep is a sum of such operators
@@ -37,6 +38,7 @@ class Places:
     log: np.ndarray
     rotation: Float[np.ndarray, "windows knots 3 3"]
     velocity: Float[np.ndarray, "windows knots 6"]
+    driven: Float[np.ndarray, "windows knots 6"]
     signals: Signals
     played: dict[str, Float[np.ndarray, "windows knots plays"]]
 
@@ -57,6 +59,7 @@ class PlacedAt(NamedTuple):
 
     - `t` [s], `log`, `rotation`: as of `Places`.
     - `state`: position [m], attitude [rad], velocity and rate [m/s, rad/s]; `command`; `behind`: `played`.
+    - `driven`: as of `Places`.
     """
 
     t: Float[np.ndarray, "windows knots"]
@@ -65,6 +68,7 @@ class PlacedAt(NamedTuple):
     state: Float[np.ndarray, "windows knots 12"]
     command: Float[np.ndarray, "windows knots columns"]
     behind: Float[np.ndarray, "windows knots columns plays"]
+    driven: Float[np.ndarray, "windows knots 6"]
 
 
 def samples_at(data: Cut, count: int) -> Int[np.ndarray, "windows knots"]:
@@ -86,7 +90,7 @@ def placed_at(
     t = np.zeros((len(log), count))
     state = np.zeros((len(log), count, 12))
     command = np.zeros((len(log), count, len(vehicle.drive_names)))
-    behind = np.zeros((*command.shape, len(PLAYS)))
+    behind, given = np.zeros((*command.shape, len(PLAYS))), np.zeros((*t.shape, 6))
     widths = np.outer(np.where(largest > 0, largest, 1.0), PLAYS)
     for i, source in enumerate(data.logs):
         here = log == i
@@ -94,17 +98,18 @@ def placed_at(
         t[here] = source.t[sample[here]]
         state[here] = np.concatenate([track.position, track.attitude, track.nu], axis=1)[sample[here]]
         commands = source.commanded(vehicle.command_names)
+        given[here] = driven(vehicle, source, track).commanded[sample[here]]
         if commands is not None:
-            given = np.asarray(commands)[:, : command.shape[-1]]
-            command[here] = given[sample[here]]
-            behind[here] = _played(given, widths)[sample[here]]
+            columns = np.asarray(commands)[:, : command.shape[-1]]
+            command[here] = columns[sample[here]]
+            behind[here] = _played(columns, widths)[sample[here]]
     turns = jax.vmap(jax.vmap(lambda a: rotation(from_euler(a))))(jnp.asarray(state[:, :, 3:6]))
-    return PlacedAt(t, first + log, np.asarray(turns), state, command, behind)
+    return PlacedAt(t, first + log, np.asarray(turns), state, command, behind, given)
 
 
 def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]) -> Places:
     """The places of knots; `drives`: names of the columns, `parts`: of the logs, in their order."""
-    t, log, turns, state, command, behind = (np.concatenate(column) for column in zip(*parts, strict=True))
+    t, log, turns, state, command, behind, given = map(np.concatenate, zip(*parts, strict=True))
     names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
     signals = {name: state[:, :, i] for i, name in enumerate(names)}
     signals |= {name: command[:, :, i] for i, name in enumerate(drives)}
@@ -117,6 +122,7 @@ def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]
         log=log,
         rotation=turns,
         velocity=state[:, :, 6:],
+        driven=given,
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
         played={name: behind[:, :, i] for i, name in enumerate(drives)},
     )

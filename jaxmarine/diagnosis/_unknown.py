@@ -137,6 +137,11 @@ class _Shapes:
         rest = [*products, *played] if len(names) < 3 else []
         return np.concatenate([*singles, *slow, *rest], axis=-1)
 
+    def drifting(self, axis: int) -> Float[np.ndarray, "windows knots features"]:
+        """What commands together give on an axis, with its slow swings: drives that drift alike."""
+        given = self.places.driven[..., axis, None]
+        return np.concatenate([given, given * _swings(self.places.signals["t"])], axis=-1)
+
 
 def _left_out(
     y: Float[np.ndarray, "windows knots"],
@@ -249,7 +254,21 @@ def _change(
     return ((2 * stats.g[:, n:, None] + stats.h[:, n:, n:] @ push) * push).sum(axis=1)
 
 
-def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarray, tuple[str, ...]]:
+class _Best(NamedTuple):
+    """On which signals the missing wrench on an axis depends best; `tied`: as of `Dependence`.
+
+    - `gain`: what they save on each window; `shapes`: by which, and others that may save more.
+    - `forgetful`: the same shapes without plays.
+    """
+
+    signals: tuple[str, ...]
+    gain: Float[np.ndarray, " windows"]
+    tied: tuple[str, ...]
+    shapes: tuple[Float[np.ndarray, "windows knots _"], ...]
+    forgetful: Float[np.ndarray, "windows knots _"]
+
+
+def _best_signals(ledger: _Ledger, axis: int) -> _Best:
     places = ledger.k.places
 
     def saved(names: tuple[str, ...]) -> np.ndarray:
@@ -276,6 +295,12 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
         drift, now = _drift(places.commanded, saved, ledger.better)
         if ledger.better(now, gain):
             chosen, gain = drift, now
+        alike = ledger.shapes.drifting(axis)
+        now = ledger.saved(axis, alike)
+        # Of few shapes, so that it need not save more than the signals one by one to be the simpler cause.
+        # What commands give goes with what the file has wrong, as a craft that goes on brakes as much.
+        if now.sum() > gain.sum() and ledger.better(now, ledger.saved(axis, alike[..., :1])):
+            return _Best(("t", *places.commanded), now, (), (alike,), alike)
     tied = []
     for name in order:
         if name in chosen:
@@ -286,7 +311,10 @@ def _best_signals(ledger: _Ledger, axis: int) -> tuple[tuple[str, ...], np.ndarr
             if t_value(gain - now) < TOLD_APART and now.sum() > 0.8 * gain.sum():
                 tied.append(name)
                 break
-    return chosen, gain, tuple(tied)
+    # What its few shapes leave would look like a force on an axis that this one is coupled to.
+    shapes = ledger.shapes.of(chosen), ledger.shapes.of(chosen, 4)
+    forgetful = _Shapes(dataclasses.replace(places, played={})).of(chosen)
+    return _Best(chosen, gain, tuple(tied), shapes, forgetful)
 
 
 def _drift(
@@ -332,13 +360,14 @@ def dependences(
       is a function of the motion.
     """
     ledger = _Ledger(k, criteria)
+    trials: dict[int, _Best] = {}
     left = [int(axis) for axis in np.flatnonzero(k.free)]
     found: list[Dependence] = []
     enough = 2 * phi * tried_nats(k) + 2 * criteria.nats
     while left:
-        trials = {axis: _best_signals(ledger, axis) for axis in left}
-        axis = max(trials, key=lambda a: trials[a][1].sum())
-        names, gain, tied = trials[axis]
+        trials |= {axis: _best_signals(ledger, axis) for axis in left if axis not in trials}
+        axis = max(left, key=lambda a: trials[a].gain.sum())
+        names, gain, tied, shapes, forgetful = trials[axis]
         if gain.sum() < enough:
             break
         if found and gain.sum() < criteria.smallest * found[0].saved:
@@ -352,14 +381,12 @@ def dependences(
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
-        # What its few shapes leave would look like a force on an axis that this one is coupled to.
-        shapes = (ledger.shapes.of(names, heads) for heads in (2, 4))
         values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
-        forgetful = _Shapes(dataclasses.replace(k.places, played={}))
-        now = ledger.saved(axis, forgetful.of(names))
-        remembers = bool(now.sum() < 0.5 * gain.sum())
+        remembers = bool(ledger.saved(axis, forgetful).sum() < 0.5 * gain.sum())
         found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
         ledger.add(axis, ledger.wrench(axis, values))
+        # What is found acts on all axes, by what couples them.
+        trials.clear()
     return tuple(found)
 
 

@@ -26,6 +26,7 @@ from ._check import (
 )
 from ._disturbance import Disturbance as Disturbance
 from ._disturbance import by_plane as by_plane
+from ._driven import driven as driven
 from ._feedback import answers as answers
 from ._filter import Likelihood as Likelihood
 from ._filter import Line as Line
