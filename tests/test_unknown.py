@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 from experiments.blind.outside import play
+from jaxmarine.diagnosis import _unknown
 from jaxmarine.diagnosis._explanation import Model
 from jaxmarine.diagnosis._knots import Knots, on_axis
 from jaxmarine.diagnosis._learn import learn
@@ -321,6 +322,22 @@ def test_drives_that_drift_alike_show_in_what_they_give_together():
     assert set(found.signals) == {"t", *commands} and not found.remembers
     blind = dataclasses.replace(k, places=dataclasses.replace(k.places, driven=np.zeros((*SHAPE, 6))))
     assert all(one.saved < 0.8 * found.saved for one in dependences(blind, 1.0))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.0])
+def test_other_axes_are_looked_at_again_once_something_is_found(monkeypatch, size):
+    """Which may act on them too. Where nothing is, each is looked at once."""
+    rng, asked = np.random.default_rng(14), []
+    signals = {name: drift(rng, 4.0) for name in ("z", "u")}
+    k = knots_with(size * np.abs(signals["u"]) * signals["u"], signals, rng)
+    k = dataclasses.replace(k, free=np.eye(6)[0] + np.eye(6)[HEAVE])
+    best = _unknown._best_signals
+    monkeypatch.setattr(
+        _unknown, "_best_signals", lambda ledger, axis: asked.append(axis) or best(ledger, axis)
+    )
+    found = dependences(k, 1.0)
+    assert [one.signals for one in found] == ([("u",)] if size else [])
+    assert asked == ([0, HEAVE, 0] if size else [0, HEAVE])
 
 
 # --- what is learned of it ----------------------------------------------------------------------

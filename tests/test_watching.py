@@ -52,7 +52,7 @@ from jaxmarine.logs import Log
 from jaxmarine.simulation import initial_state, simulate
 from jaxmarine.vehicle import Placed
 from jaxmarine.vehicle_io import suspect_named
-from jaxmarine.watching import Kept, Watch, _judge, _ledger, _passage, _rivals, _saved
+from jaxmarine.watching import Kept, Watch, _blocks, _judge, _ledger, _passage, _rivals, _saved
 from jaxmarine.watching._blocks import LONG, WINDOW, Begun, Bench, Place, averaged
 from jaxmarine.watching._evidence import Acting, Member, Sum, Suspicions
 from jaxmarine.watching._ledger import KEPT, Account, since_each, thinned
@@ -247,10 +247,19 @@ def test_samples_taken_together_measure_the_mean_of_what_each_does(unchecked):
 
 
 @pytest.mark.parametrize(
-    ("rate", "steps", "together"), [(100.0, 50, 5), (50.0, 24, 2), (20.0, 10, 1), (10.0, 5, 1), (1.0, 2, 1)]
+    ("rate", "acceleration", "steps", "together"),
+    [
+        (100.0, np.nan, 50, 5),
+        (50.0, np.nan, 24, 2),
+        # An acceleration shows what pushes at its sample.
+        (50.0, 0.02, 25, 1),
+        (20.0, np.nan, 10, 1),
+        (10.0, np.nan, 5, 1),
+        (1.0, np.nan, 2, 1),
+    ],
 )
-def test_samples_within_a_twentieth_of_a_second_are_taken_together(rate, steps, together):
-    noise = np.repeat([*NOISE.values(), np.nan, np.nan], 3)
+def test_samples_within_a_twentieth_of_a_second_are_taken_together(rate, acceleration, steps, together):
+    noise = np.repeat([*NOISE.values(), acceleration, np.nan], 3)
     bench = Bench.with_noise(boat(), noise, 1 / rate, (ThrusterGain,))
     assert (bench.steps, bench.together) == (steps, together)
     assert bench.empty.line.f.shape[0] == steps // together
@@ -825,6 +834,49 @@ def test_who_begins_within_a_window_is_in_nothing_before(begun, named):
     windows = ledger.nats(ledger.accounts[0], ledger.since(ledger.accounts[0]), members)
     nats, windows = (np.delete(one, [m.suspect for m in members], axis=0) for one in (nats, windows))
     assert np.abs(windows[:, 1:3].max(axis=1) - nats).max() > 1.0
+
+
+def test_a_column_behind_two_gates_acts_once_both_are_passed():
+    begun_at, gates = np.array([0.0, 1.0, 2.0, 3.0]), (((0, 2), 1.0), ((2,), 3.0))
+    expected = np.array([[0, 1, 0], [1, 1, 0], [1, 1, 0], [1, 1, 1]], float)
+    for some in (gates, gates[::-1]):
+        np.testing.assert_array_equal(_ledger.acts_of(some, begun_at, 3), expected)
+    np.testing.assert_array_equal(_ledger.acts_of(gates, np.array(1.0), 3), expected[1])
+
+
+def test_beginnings_asked_together_are_those_asked_one_by_one(begun, monkeypatch):
+    """In any order, over blocks that are filtered in two parts, beside a member that began among them."""
+    ledger = begun.parts.passage.ledger
+    account, begun_at = ledger.accounts[0], ledger.begun_at
+    some = [float(begun_at[k]) for k in (9, 3, 14)]
+    members = [Member(2, float(begun_at[6]))]
+    together = ledger.nats_from(account, members, some)
+    monkeypatch.setattr(_ledger, "CHUNK", 14)
+    for t, (told, nats) in zip(some, together, strict=True):
+        ((alone, other),) = ledger.nats_from(account, members, [t])
+        assert told.t == alone.t == t
+        np.testing.assert_allclose(nats, other, rtol=1e-7, atol=1e-7)
+
+
+def test_blocks_of_samples_taken_together_are_means_of_those_of_each(begun, monkeypatch):
+    """By twos, of which a sensor missed one, beside blocks of the same samples one by one."""
+    passage, found = begun.parts.passage, []
+    for near, together, count in ((0.01, 1, 5), (0.2, 2, 4)):
+        monkeypatch.setattr(_blocks, "NEAR", near)
+        bench = Bench.with_noise(boat(), passage.bench.noise, DT, (ThrusterGain,))
+        assert (bench.together, bench.steps) == (together, count)
+        rows = passage.rows.part(0, 60 + count + 1)
+        rows.channels[61, 6:8] = np.nan
+        start = Begun(np.zeros(3), np.eye(4)[0], np.full(6, 0.1) * boat().free, np.zeros(3 + PLANE))
+        z = np.zeros(bench.layout.size)
+        window = bench.window(rows, count, start, 0.0, True, 1, z, np.zeros((0, 13)))
+        found.append(window.line.residual)
+    alone, taken = found
+    seen = np.full((2, len(bench.channels), 1), 2.0)
+    seen[0, [bench.channels.index(channel) for channel in (6, 7)]] = 1.0
+    sums = alone[:4].reshape(2, 2, *alone.shape[1:]).sum(axis=1)
+    np.testing.assert_allclose(taken, sums / np.sqrt(seen), rtol=1e-9, atol=1e-9)
+    assert np.abs(taken[..., :-1]).max() > 0.1
 
 
 @pytest.mark.parametrize("after", [7.0, 9.0, 12.5])

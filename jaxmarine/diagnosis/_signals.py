@@ -27,7 +27,7 @@ class Places:
 
     - `t` in its log's own time [s], `log` [windows]; `rotation` from body to world axes.
     - `velocity`: linear [m/s] and angular [rad/s] in body axes.
-    - `driven`: the wrench that commands give, `o`, body axes [N, N m].
+    - `driven`: the wrench that commands give, `o`, body axes [N, N m], 0 on locked axes.
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
     - `played`: per thruster what play operators of several widths make of its command, without the
       command and in shares of their width. Every hysteresis without creep is a sum of such operators

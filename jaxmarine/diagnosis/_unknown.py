@@ -257,15 +257,13 @@ def _change(
 class _Best(NamedTuple):
     """On which signals the missing wrench on an axis depends best; `tied`: as of `Dependence`.
 
-    - `gain`: what they save on each window; `shapes`: by which, and others that may save more.
-    - `forgetful`: the same shapes without plays.
+    - `gain`: what they save on each window; `alike`: drives drift, and all of them alike.
     """
 
     signals: tuple[str, ...]
     gain: Float[np.ndarray, " windows"]
     tied: tuple[str, ...]
-    shapes: tuple[Float[np.ndarray, "windows knots _"], ...]
-    forgetful: Float[np.ndarray, "windows knots _"]
+    alike: bool
 
 
 def _best_signals(ledger: _Ledger, axis: int) -> _Best:
@@ -300,7 +298,7 @@ def _best_signals(ledger: _Ledger, axis: int) -> _Best:
         # Of few shapes, so that it need not save more than the signals one by one to be the simpler cause.
         # What commands give goes with what the file has wrong, as a craft that goes on brakes as much.
         if now.sum() > gain.sum() and ledger.better(now, ledger.saved(axis, alike[..., :1])):
-            return _Best(("t", *places.commanded), now, (), (alike,), alike)
+            return _Best(("t", *places.commanded), now, (), alike=True)
     tied = []
     for name in order:
         if name in chosen:
@@ -311,10 +309,20 @@ def _best_signals(ledger: _Ledger, axis: int) -> _Best:
             if t_value(gain - now) < TOLD_APART and now.sum() > 0.8 * gain.sum():
                 tied.append(name)
                 break
-    # What its few shapes leave would look like a force on an axis that this one is coupled to.
-    shapes = ledger.shapes.of(chosen), ledger.shapes.of(chosen, 4)
-    forgetful = _Shapes(dataclasses.replace(places, played={})).of(chosen)
-    return _Best(chosen, gain, tuple(tied), shapes, forgetful)
+    return _Best(chosen, gain, tuple(tied), alike=False)
+
+
+def _shapes_of(ledger: _Ledger, axis: int, best: _Best) -> tuple[np.ndarray, bool]:
+    """Shapes of signals, of which few leave what would look like a force on a coupled axis.
+
+    And whether the wrench hangs on the past of a command.
+    """
+    if best.alike:
+        return ledger.shapes.drifting(axis), False
+    shapes = (ledger.shapes.of(best.signals, heads) for heads in (2, 4))
+    values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
+    forgetful = _Shapes(dataclasses.replace(ledger.k.places, played={})).of(best.signals)
+    return values, bool(ledger.saved(axis, forgetful).sum() < 0.5 * best.gain.sum())
 
 
 def _drift(
@@ -367,7 +375,7 @@ def dependences(
     while left:
         trials |= {axis: _best_signals(ledger, axis) for axis in left if axis not in trials}
         axis = max(left, key=lambda a: trials[a].gain.sum())
-        names, gain, tied, shapes, forgetful = trials[axis]
+        names, gain, tied, _ = trials[axis]
         if gain.sum() < enough:
             break
         if found and gain.sum() < criteria.smallest * found[0].saved:
@@ -381,8 +389,7 @@ def dependences(
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
-        values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
-        remembers = bool(ledger.saved(axis, forgetful).sum() < 0.5 * gain.sum())
+        values, remembers = _shapes_of(ledger, axis, trials[axis])
         found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
         ledger.add(axis, ledger.wrench(axis, values))
         # What is found acts on all axes, by what couples them.

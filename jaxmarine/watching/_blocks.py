@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from .._compiled import compiled
 from .._errors import InputError
-from .._types import AXES
+from .._types import ACCELERATIONS, AXES
 from ..diagnosis import (
     Coefficient,
     Layout,
@@ -62,9 +62,9 @@ from ..vehicle import Vehicle
 
 # As long as a window of a diagnosis, which begins with any state [s].
 WINDOW = 4.0
-# Samples so near to each other are taken together [s], as to filter twice as many takes twice as long. What
-# pushes is the same for all of them: of a memory of half a second, quick for what disturbs, a tenth is new
-# meanwhile. Taken by fives at 50 Hz, they lost a tenth of the nats of a thruster that grew weak.
+# As many samples as fit into this are taken together [s], as to filter twice as many takes twice as long.
+# What pushes is the same for all of them: of a memory of half a second, quick for what disturbs, a tenth is
+# new meanwhile. Taken by fives at 50 Hz, they lost a tenth of the nats of a thruster that grew weak.
 NEAR = 0.05
 # What actuators and fluid memory were told before a block [s]: ten times what usual ones remember.
 PAST = 10.0
@@ -170,8 +170,9 @@ class Bench:
         families, layout = saturate(vehicle, catalogue)
         size = max(4, round(WINDOW / dt))
         whole = parts_of(size, dt)
-        # Clocks are not that exact.
-        together = max(1, int(1.1 * NEAR / dt))
+        # Clocks are not that exact. Accelerations show what pushes at their very sample.
+        apart = any(channel >= ACCELERATIONS.start for channel in channels)
+        together = 1 if apart else max(1, int(1.1 * NEAR / dt))
         axes = np.flatnonzero(vehicle.free)
         return cls(
             vehicle,
@@ -449,7 +450,8 @@ def _linear(kit, affine: Affine, force: Disturbance, seen: Seen, split, together
 def averaged(line: Line, seen: Bool[Array, "steps rows"], together: int) -> Line:
     """The line with so many samples in the place of each: of every sensor the mean of what it measured.
 
-    What pushes is the same for all of them. The noise of a mean is of size one again.
+    What pushes is the same for all of them. The noise of a mean is of size one again, as a sensor has the
+    same in all of them.
 
     - `seen`: whether a sensor measured anything; rows of others are 0.
     """
@@ -534,7 +536,10 @@ def replayed(
     first: Int[Array, ""],
     after: Int[Array, ""],
 ) -> tuple[tuple[Array, Array, Array], Message]:
-    """The same of some of many blocks, from the first on; 0 of all others, which take no time."""
+    """The same of some of many blocks; 0 of all others, which take no time.
+
+    - `first`, `after`: numbers of the first of them, and of the one behind the last.
+    """
     count, size = len(every.gap), acts.shape[1] - 1
     nothing = jnp.zeros(count), jnp.zeros((count, size)), jnp.zeros((count, size, size))
 

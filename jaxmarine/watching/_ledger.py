@@ -246,7 +246,7 @@ class Ledger:
         for kept, new in zip(self.places, place, strict=True):
             kept[k] = new
         for account in self.accounts:
-            acts = acting(account.gates, np.array(place.begins), window.end.shape[-1])
+            acts = acts_of(account.gates, np.array(place.begins), window.end.shape[-1])
             said, account.message = passed(account.message, window, acts, account.force, self.bench.spread)
             for kept, new in zip(account.said, said, strict=True):
                 kept[k] = new
@@ -294,20 +294,22 @@ class Ledger:
     def nats_from(
         self, account: Account, members: Sequence[Member], times: Sequence[float]
     ) -> list[tuple[Sum, Float[np.ndarray, " suspects"]]]:
-        """What was said from each of some blocks on, in order, and nats of every suspect that begins with it.
+        """What was said from each of some blocks on, and nats of every suspect that begins with it.
 
         Within a window a state is where a suspect would have taken it that had acted before. So blocks are
         filtered without a trace of any but of the file's own coefficients, which act anyway, and of members'.
         Those before a beginning are for all later ones the same.
+
+        - `times` [s]: where the blocks begin.
         """
-        before, out = account.branched(), []
+        before, found = account.branched(), {}
         suspects = range(len(self.suspicions.columns))
-        acting = {*self.suspicions.base.tolist(), *(c for m in members for c in self._columns(m.suspect))}
-        begins = tuple(sorted({column for i in suspects for column in self._columns(i)} - acting))
+        stay = {*self.suspicions.base.tolist(), *(c for m in members for c in self._columns(m.suspect))}
+        begins = tuple(sorted({column for i in suspects for column in self._columns(i)} - stay))
         gates = self._gates(account, members)
         before.gates = (*gates, (begins, np.inf))
         message, done = self._opened(before), 0
-        for t in times:
+        for t in sorted(times):
             k = self.block_of(t)
             message, done = self._filter(before, message, done, k), k
             own = before.branched()
@@ -316,8 +318,8 @@ class Ledger:
             since = self.since(own)
             of_members = (since[place(since, m.since)] for m in members)
             some = [since[0], *of_members, since[place(since, t)]]
-            out.append((some[-1], self.nats(own, some, members)[:, -1]))
-        return out
+            found[t] = some[-1], self.nats(own, some, members)[:, -1]
+        return [found[t] for t in times]
 
     def likelihood(self, account: Account, since: Sequence[Sum], members: Sequence[Member]) -> float:
         """Logarithm of the likelihood of a model beside an account's disturbance, but for a constant."""
@@ -503,15 +505,15 @@ class Ledger:
         return message
 
     def _filter(self, account: Account, message: Message, first: int, after: int) -> Message:
-        """Blocks from one on, up to another; what they leave."""
+        """Blocks from one on, up to another that is not among them; what they leave."""
         for start in range(first // CHUNK * CHUNK, after, CHUNK):
             part: Windowed = jax.tree.map(lambda a, k=start: a[k : k + CHUNK], self.windows)
-            acts = acting(account.gates, self.begun_at[start : start + CHUNK], part.end.shape[-1])
+            acts = acts_of(account.gates, self.begun_at[start : start + CHUNK], part.end.shape[-1])
             here = slice(max(first, start), min(after, start + CHUNK))
             inside = jnp.asarray(here.start - start), jnp.asarray(here.stop - start)
             said, message = replayed(message, part, acts, account.force, self.bench.spread, *inside)
             for kept, new in zip(account.said, said, strict=True):
-                kept[here] = new[here.start - start : here.stop - start]
+                kept[here] = np.asarray(new)[here.start - start : here.stop - start]
         return message
 
     # --- memory ----------------------------------------------------------------------------------
@@ -554,13 +556,16 @@ def closed(message: Message, columns: list[int]) -> Message:
     )
 
 
-def acting(
+def acts_of(
     gates: Sequence[Gate], begun_at: Float[np.ndarray, "*blocks"], columns: int
 ) -> Float[np.ndarray, "*blocks columns"]:
-    """Whether columns have begun where blocks begin [s]: 1, or 0 of those behind a gate until then."""
+    """1 for columns that act in blocks which begin at some times [s], 0 for those behind a gate until then.
+
+    Suspects may share columns: behind several gates one acts once it has passed all of them.
+    """
     acts = np.ones((*begun_at.shape, columns))
     for behind, since in gates:
-        acts[..., list(behind)] = (begun_at >= since - 1e-9)[..., None]
+        acts[..., list(behind)] *= (begun_at >= since - 1e-9)[..., None]
     return acts
 
 

@@ -238,8 +238,9 @@ class Field:
         longer = (*model, member._replace(since=times[0]))
 
         def best_of(told: Told, some: list[float]) -> float:
-            each = told.passage.ledger.nats_from(told.account, model, some)
-            return some[int(np.argmax([nats[member.suspect] for _, nats in each]))]
+            every = told.passage.ledger.nats_from(told.account, model, some)
+            nats = {t: one[member.suspect] for t, (_, one) in zip(some, every, strict=True)}
+            return max(some, key=lambda t: nats[t])
 
         told = promised(self.none.passage, longer, rival.told.known, rival.told.account, times[0])
         if told is None:
@@ -249,7 +250,7 @@ class Field:
         if within:
             told = promised(told.passage, longer, rival.told.known, told.account, within[0], within)
             if told is not None:
-                best = best_of(told, sorted([best, *within]))
+                best = best_of(told, [best, *within])
         begun = member._replace(since=best)
         if begun == member:
             return rival
