@@ -293,11 +293,11 @@ def _best_signals(ledger: _Ledger, axis: int) -> _Best:
         drift, now = _drift(places.commanded, saved, ledger.better)
         if ledger.better(now, gain):
             chosen, gain = drift, now
-        alike = ledger.shapes.drifting(axis)
-        now = ledger.saved(axis, alike)
-        # Of few shapes, so that it need not save more than the signals one by one to be the simpler cause.
-        # What commands give goes with what the file has wrong, as a craft that goes on brakes as much.
-        if now.sum() > gain.sum() and ledger.better(now, ledger.saved(axis, alike[..., :1])):
+        together = ledger.shapes.drifting(axis)
+        now = ledger.saved(axis, together)
+        # One cause in the place of many signals: it is enough that it saves more. But it must drift: what
+        # commands give goes with what the file has wrong, as a craft that goes on brakes as much.
+        if now.sum() > gain.sum() and ledger.better(now, ledger.saved(axis, together[..., :1])):
             return _Best(("t", *places.commanded), now, (), alike=True)
     tied = []
     for name in order:
