@@ -113,6 +113,11 @@ def test_the_page_has_the_numbers_of_the_present_code():
         ("geared", GROUPS[0], "Of the {count} that were\ndrawn first"),
         ("geared_fed_back", GROUPS[1], "and {right} of {count} answers are wholly right"),
         ("fed_back", GROUPS[1], "Of {count} that can be seen"),
+        (
+            "fed_back_anew",
+            GROUPS[1],
+            "Of {count} of these that can be seen, {right} have a wholly right answer",
+        ),
     ):
         rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
         counted = summary(rows)
@@ -153,7 +158,7 @@ def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
 def test_the_page_has_what_was_missed():
     rows = [
         row
-        for folder in ("by_sticks", "geared", "geared_fed_back", "fed_back")
+        for folder in ("by_sticks", "geared", "geared_fed_back", "fed_back", "fed_back_anew")
         for row in json.loads((HERE / folder / "results.json").read_text())["rows"]
     ]
     assert missed_table(summary(rows)) in (ROOT / "experiments" / "README.md").read_text()
