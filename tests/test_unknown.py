@@ -300,19 +300,12 @@ def test_thrusters_that_drift_together_are_named_together():
     assert set(found.signals) == {"t", "port", "star"}
 
 
-def eight_drives(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Commands that answer nothing, and the force that they give together."""
-    names = [f"t{i}" for i in range(1, 9)]
-    commands = {name: drift(rng, 4.0) for name in names}
-    signs = np.array([1, -1, 1, 1, -1, 1, -1, 1])
-    return commands, 10.0 * np.tensordot(signs, np.array(list(commands.values())), 1)
-
-
 def test_drives_that_drift_alike_show_in_what_they_give_together():
     """Of eight, as by a battery: shapes of each, times swings, are more than the log tells."""
     rng = np.random.default_rng(13)
     t = np.arange(WINDOWS * KNOTS, dtype=float).reshape(SHAPE)
-    commands, thrust = eight_drives(rng)
+    commands = {f"t{i}": drift(rng, 4.0) for i in range(1, 9)}
+    thrust = 10.0 * np.tensordot([1, -1, 1, 1, -1, 1, -1, 1], np.array(list(commands.values())), 1)
     driven = np.zeros((*SHAPE, 6))
     driven[..., HEAVE] = thrust
     played = {name: np.zeros((*SHAPE, 0)) for name in commands}

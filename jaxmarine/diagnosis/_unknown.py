@@ -97,13 +97,6 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
     return np.stack([x, x**2, x**3, np.abs(x) * x, np.tanh(10.0 * x)], axis=-1)
 
 
-def _swings(t: np.ndarray) -> np.ndarray:
-    """Swings of the time, from half a period in the logs to as many as left-out stretches leave visible."""
-    turns = np.pi * (t - t.min()) / max(float(np.ptp(t)), 1e-12)
-    angles = np.arange(1, SWINGS + 1) * turns[..., None]
-    return np.concatenate([np.sin(angles), np.cos(angles)], axis=-1)
-
-
 @dataclasses.dataclass(frozen=True)
 class _Shapes:
     """Regressors made of the signals at the knots."""
@@ -113,6 +106,14 @@ class _Shapes:
     @functools.cached_property
     def singles(self) -> dict[str, np.ndarray]:
         return {name: _single(name, values) for name, values in self.places.signals.items()}
+
+    @functools.cached_property
+    def swings(self) -> Float[np.ndarray, "windows knots swings"]:
+        """Of the time, from half a period in the logs to as many as left-out stretches leave visible."""
+        t = self.places.signals["t"]
+        turns = np.pi * (t - t.min()) / max(float(np.ptp(t)), 1e-12)
+        angles = np.arange(1, SWINGS + 1) * turns[..., None]
+        return np.concatenate([np.sin(angles), np.cos(angles)], axis=-1)
 
     def of(self, names: tuple[str, ...], heads: int = 2) -> Float[np.ndarray, "windows knots features"]:
         """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
@@ -130,9 +131,8 @@ class _Shapes:
         played = [self.places.played[name] for name in names if name in self.places.played]
         if "t" not in names:
             return np.concatenate([*singles, *products, *played], axis=-1)
-        swings = _swings(self.places.signals["t"])
         moving = [shapes for name, shapes in zip(names, singles, strict=True) if name != "t"]
-        slow = [shapes[..., :1] * swings for shapes in moving]
+        slow = [shapes[..., :1] * self.swings for shapes in moving]
         # Swings of several signals are many regressors: the rest would be more than a log can tell.
         rest = [*products, *played] if len(names) < 3 else []
         return np.concatenate([*singles, *slow, *rest], axis=-1)
@@ -140,7 +140,7 @@ class _Shapes:
     def drifting(self, axis: int) -> Float[np.ndarray, "windows knots features"]:
         """What commands together give on an axis, with its slow swings: drives that drift alike."""
         given = self.places.driven[..., axis, None]
-        return np.concatenate([given, given * _swings(self.places.signals["t"])], axis=-1)
+        return np.concatenate([given, given * self.swings], axis=-1)
 
 
 def _left_out(
