@@ -596,16 +596,15 @@ def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
     One of them lasts for many windows, as what disturbs the boat does.
     """
     bench, model = disturbed
-    t, (log,) = bench.places.t, bench.data.logs
+    t, (log,) = bench.holds.t, bench.data.logs
     shapes = np.zeros((*t.shape, 6, 2))
     shapes[..., 0, 0], shapes[..., 5, 1] = np.sin(2 * np.pi * t / 80.0), np.cos(2 * np.pi * t / 7.0)
     g, h = _knots.with_shapes(bench, model, shapes)
     step = np.asarray(bench.data.windows.step)
-    knot = np.arange(step.shape[1]) * bench.knots // step.shape[1]
 
     def minus_twice(sizes: np.ndarray) -> float:
         wrench = log.wrench.copy()
-        wrench[step] += (shapes @ sizes)[:, knot]
+        wrench[step] += shapes @ sizes
         return float(bench.on((dataclasses.replace(log, wrench=wrench),)).screen(model).chi2.sum())
 
     here = minus_twice(np.zeros(2))
@@ -615,7 +614,8 @@ def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
         # The slope in standard errors, without that of the determinant along the moved path.
         assert (above - below) / 4 == pytest.approx(g[i - 2] * size, abs=0.1)
     # What lasts is told more than four times too well window by window: as if each began with another one.
-    apart, lasts = _knots.at_knots(bench, model), shapes[..., 0].reshape(len(t), -1)
+    every = t.shape[1] // bench.knots
+    apart, lasts = _knots.at_knots(bench, model), shapes[:, every // 2 :: every, :, 0].reshape(len(t), -1)
     of_windows = apart.h[:, -6 * bench.knots :, -6 * bench.knots :]
     assert 4 * h[-2, -2] < np.einsum("wi,wij,wj->", lasts, of_windows, lasts)
 
@@ -628,15 +628,36 @@ def test_a_knot_has_the_wrench_that_was_commanded_there(disturbed):
     assert np.ptp(commanded) > 1.0
 
 
+def test_what_acts_is_given_where_the_craft_is_expected_in_each_hold(disturbed):
+    """Against simulations from where three parts begin, by what is commanded and expected to push."""
+    bench, model = disturbed
+    (log,), given = bench.data.logs, _knots.knots(bench, model).given
+    step, parts = np.asarray(bench.fine.problem.windows.step), bench.fine.parts
+    names = ("x", "y", "psi", "u", "v", "r")
+    states = np.stack([given.signals[name] for name in names], -1).reshape(bench.fine.count, -1, len(names))
+    for part in (0, 3, 5 * parts + 2):
+        rows = step[part]
+        x, y, psi, u, v, r = states[part, 0].tolist()
+        start = initial_state(bench.vehicle, (x, y, 0.0), (0.0, 0.0, psi), (u, v, 0.0, 0.0, 0.0, r))
+        push = np.zeros((len(rows), 6))
+        push[:, np.array(model.beside.force.axes)] = model.beside.path.push[part, :-PLANE]
+        piece = dataclasses.replace(
+            log, t=log.t[rows], channels=log.channels[rows], wrench=log.wrench[rows] + push
+        )
+        run = simulate(bench.vehicle, piece, start).states
+        there = np.column_stack([run.position[:, :2], run.velocity[:, [0, 1, 5]]])
+        np.testing.assert_allclose(states[part][:, [0, 1, 3, 4, 5]], there, atol=1e-6)
+        np.testing.assert_array_equal(given.t.reshape(bench.fine.count, -1)[part], log.t[rows])
+
+
 def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
     """As that of the log in which the wrench does not act, which had stood in for it."""
     bench, model = disturbed
-    (log,), t = bench.data.logs, bench.places.t
+    (log,), t = bench.data.logs, bench.holds.t
     step = np.asarray(bench.data.windows.step)
-    knot = np.arange(step.shape[1]) * bench.knots // step.shape[1]
     acts, without = np.zeros((*t.shape, 6)), log.wrench.copy()
     acts[..., 0] = 6.0 * np.sin(2 * np.pi * t / 80.0)
-    without[step] -= acts[:, knot]
+    without[step] -= acts
     on = bench.on((dataclasses.replace(log, wrench=without),))
     spoilt = on.likeliest(dataclasses.replace(model, cost=np.inf))
     again, lost = _knots.beside_wrench(on, spoilt, np.zeros(len(spoilt.z)), acts)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from jaxmarine.diagnosis import Criteria, _search
-from jaxmarine.diagnosis._explanation import Beginning, Member, Model
+from jaxmarine.diagnosis._explanation import Beginning, Beside, Member, Model
 from jaxmarine.diagnosis._score import Reduced, scatter, t_value
 from jaxmarine.diagnosis._search import Trial
 from jaxmarine.diagnosis._workbench import Workbench
+from jaxmarine.fitting import Disturbance, Path
 
 WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6
 ALL = KNOWN + SUSPECTS
@@ -156,3 +157,15 @@ def test_of_suspects_that_save_a_fifth_of_the_best_the_leading_three_are_tried_w
     many = trials({Member(0): 90.0, begun[1]: 80.0, Member(2): 70.0, Member(3): 60.0, begun[0]: 100.0})
     assert _search._late(many, begun) == []
     assert _search._late(trials({Member(3): 1.0, Member(4): 0.5}), {3: begun[3]}) == [begun[3]]
+
+
+@pytest.mark.parametrize(
+    ("saved", "white", "beside"), [(13.0, False, False), (20.0, False, True), (28.0, True, True)]
+)
+def test_beside_a_disturbance_what_pays_for_its_numbers_is_refitted_to_the_end(saved, white, beside):
+    """Two numbers cost log(1000) = 6.9 each; a finding of six suspects at odds of 150 another 13.6."""
+    one = jnp.ones(1)
+    force = Disturbance(one, one, 0.0 * one, one, jnp.zeros(1, bool), (0,))
+    disturbed = dataclasses.replace(MODEL, beside=Beside(force, Path.measured(1, (0,)), np.eye(2)))
+    assert _search._may_be_found(Bench(), Trial(Member(1), MODEL, saved)) == white
+    assert _search._may_be_found(Bench(), Trial(Member(1), disturbed, saved)) == beside

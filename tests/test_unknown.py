@@ -27,7 +27,6 @@ from jaxmarine.diagnosis._unknown import (
     acting,
     cost_of_removal,
     dependences,
-    lagged,
     likely,
     nats_beside,
     size_only,
@@ -422,7 +421,7 @@ def test_what_lasts_is_estimated_again_beside_a_dependence_that_it_stood_in_for(
     known = {"width": 1, "precision": np.ones(1), "offset": np.zeros(1)}
     k = Slow(**{**parts, **known}, y=y, column=np.tanh(3 * u.ravel()), size=1.0)
     k = dataclasses.replace(k, size=k.likeliest(y))
-    one = Dependence(HEAVE, ("u",), (), 1.0, np.roll(u.ravel(), -1).reshape(*SHAPE, 1), False)
+    one = Dependence(HEAVE, ("u",), (), 1.0, u[..., None], False)
     accepted, after = likely(k, (one,))
     assert [found.signals for found in accepted] == [("u",)] * bool(force)
     if not force:
@@ -430,20 +429,20 @@ def test_what_lasts_is_estimated_again_beside_a_dependence_that_it_stood_in_for(
         return
     # It had stood in for most of the force.
     assert after.size < 0.3 * k.size and after.lost > 10.0
-    shape = lagged(k, accepted)[0].features.reshape(u.size, 1)
+    shape = u.reshape(-1, 1)
     shape = shape / np.sqrt((shape**2).mean())
     either = np.outer(k.column, k.column)
     best = max(
         k.density(after.size, either + size**2 * shape @ shape.T) for size in np.geomspace(0.5, 2.0, 30)
     )
-    more = nats_beside(after, lagged(k, accepted), 1.0)
+    more = nats_beside(after, accepted, 1.0)
     # What z may be is paid for with and without.
     paid = 0.5 * np.log(1.0 + k.column @ np.linalg.solve(k.covariance(k.size), k.column))
     assert more == pytest.approx(best - k.density(k.size) + paid - tried_nats(k), abs=0.1)
     alone = nats_beside(k, (), 1.0)
     assert accepted[0].saved == pytest.approx(2 * (more - alone))
     # Beside the one that stood in for it less was to be gained.
-    assert nats_beside(k, lagged(k, accepted), 1.0) < more - 3.0
+    assert nats_beside(k, accepted, 1.0) < more - 3.0
 
 
 def test_dependences_beside_known_numbers_are_worth_what_the_densities_say():

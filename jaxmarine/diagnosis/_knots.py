@@ -6,6 +6,7 @@ swings with a period. No hypothesis needs a simulation of its own.
 """
 
 import dataclasses
+import functools
 
 import jax.numpy as jnp
 import numpy as np
@@ -62,8 +63,13 @@ class Knots:
         """Of each window."""
         return rows(self.stats.each(_chi2))
 
+    @property
+    def given(self) -> Places:
+        """Where wrenches are given that are `summed`."""
+        return self.places
+
     def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient and information, over all windows, of z and of wrenches with these values at the knots."""
+        """Gradient and information, over all windows, of z and of wrenches with these values."""
         g, h = totals(self.stats.each(_summed, self.width, along=(values,)))
         return g, h
 
@@ -121,7 +127,8 @@ class KnotsBeside(Knots):
     """Knots beside a model's disturbance, which remembers for longer than a window what pushed in it.
 
     So wrenches are summed over all windows at once, each given all before it, and not by `stats`, which are
-    those beside the disturbance that was estimated first.
+    those beside the disturbance that was estimated first. They are given at every sample, from which they are
+    held to the next: within a knot a command already answers the force that acts in it.
     """
 
     bench: Workbench
@@ -132,11 +139,20 @@ class KnotsBeside(Knots):
         assert self.model.beside is not None
         return self.model.beside.force
 
-    def summed(self, values: Float[np.ndarray, "windows knots 6 features"]) -> tuple[np.ndarray, np.ndarray]:
+    @functools.cached_property
+    def given(self) -> Places:
+        """Every sample, with the craft where its path lets one expect it, which knows of no later one."""
+        holds, parts = self.bench.holds, self.bench.lines(self.model).states
+        expected = np.asarray(parts)[: self.bench.fine.count].reshape(*holds.t.shape, -1)
+        return _through_water(self.bench, self.model, holds.where(expected))
+
+    def summed(
+        self, values: Float[np.ndarray, "windows samples 6 features"]
+    ) -> tuple[np.ndarray, np.ndarray]:
         return with_shapes(self.bench, self.model, values)
 
     def where(
-        self, step: Float[np.ndarray, " z"], wrench: Float[np.ndarray, "windows knots 6"]
+        self, step: Float[np.ndarray, " z"], wrench: Float[np.ndarray, "windows samples 6"]
     ) -> "KnotsBeside":
         model, lost = beside_wrench(self.bench, self.model, step, wrench)
         return dataclasses.replace(self, model=model, lost=self.lost + lost)
@@ -145,12 +161,15 @@ class KnotsBeside(Knots):
 def knots(bench: Workbench, model: Model) -> Knots:
     """The knots' statistics at a model, beside its disturbance, where it has one."""
     known, precision, offset = bench.known(model)
-    # Forces on the hull depend on the velocity through the water, where that is known to move.
-    places = bench.places
-    signals = places.through_water(bench.water(model), places.signals)
-    places = dataclasses.replace(places, signals=signals)
+    places = _through_water(bench, model, bench.places)
     own = at_knots(bench, model), known.shape[1], precision, offset, bench.vehicle.free, places
     return Knots(*own) if model.beside is None else KnotsBeside(*own, bench, model)
+
+
+def _through_water(bench: Workbench, model: Model, places: Places) -> Places:
+    """As forces on the hull depend on velocities: through the water, where that is known to move."""
+    signals = places.through_water(bench.water(model), places.signals)
+    return dataclasses.replace(places, signals=signals)
 
 
 def at_knots(bench: Workbench, model: Model) -> AbstractStatistics:
@@ -180,9 +199,9 @@ def at_knots(bench: Workbench, model: Model) -> AbstractStatistics:
 
 
 def with_shapes(
-    bench: Workbench, model: Model, shapes: Float[np.ndarray, "windows knots 6 shapes"]
+    bench: Workbench, model: Model, shapes: Float[np.ndarray, "windows samples 6 shapes"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and information of z, then of the sizes of wrenches of given shapes at the knots.
+    """Gradient and information of z, then of the sizes of wrenches of given shapes at the samples.
 
     Beside the model's disturbance, over all windows, each given all before it.
     """
@@ -202,7 +221,7 @@ def beside_wrench(
     bench: Workbench,
     model: Model,
     step: Float[np.ndarray, " z"],
-    wrench: Float[np.ndarray, "windows knots 6"],
+    wrench: Float[np.ndarray, "windows samples 6"],
 ) -> tuple[Model, float]:
     """The model beside the disturbance that suits the logs after a step of z with a wrench at the knots.
 
@@ -219,10 +238,10 @@ def beside_wrench(
     return now, 0.5 * float(after - before)
 
 
-def _of_parts(bench: Workbench, at_knots: Float[np.ndarray, "windows knots *values"]) -> Array:
-    """What is given at the knots of whole windows, for the windows cut up, then zeros."""
-    parts, most = bench.fine.parts, len(bench.fine.group)
-    cut_up = at_knots.reshape(bench.count * parts, bench.knots // parts, *at_knots.shape[2:])
+def _of_parts(bench: Workbench, at_samples: Float[np.ndarray, "windows samples *values"]) -> Array:
+    """What is given at the samples of whole windows, for the windows cut up, then zeros."""
+    most = len(bench.fine.group)
+    cut_up = at_samples.reshape(bench.fine.count, -1, *at_samples.shape[2:])
     return jnp.asarray(np.pad(cut_up, [(0, most - len(cut_up))] + [(0, 0)] * (cut_up.ndim - 1)))
 
 

@@ -696,8 +696,7 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
     """The round that a significant one of the best trials wins, and the statistics of its model."""
     # The best may rest on a few windows, as one does that acts throughout in the place of one that begins:
     # then the next ones are looked at too.
-    hopeful = [t for t in trials if t.saved > needed(bench, t.member, 1.0)]
-    for trial in hopeful[:CHANCES]:
+    for trial in [t for t in trials if _may_be_found(bench, t)][:CHANCES]:
         exact = bench.likeliest(trial.model)
         since = trial.member.since
         if exact.beside is not None and since is not None:
@@ -722,6 +721,16 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
             ranked = [winner, *(t for t in ranked if t is not winner)]
         return Round(_once(ranked), True, phi), after
     return None
+
+
+def _may_be_found(bench: Workbench, trial: Trial) -> bool:
+    """Whether a trial that is refitted to the end may have the odds that a finding needs.
+
+    Beside a disturbance, which is fitted to it in part only, it may gain more by that than its refit did: one
+    that stood in for what acts all the time, by a memory as long as the log, goes step by step.
+    """
+    least = needed(bench, trial.member, 1.0) if trial.model.beside is None else penalty(bench, trial.member)
+    return bool(trial.saved > least)
 
 
 def by_evidence(

@@ -12,13 +12,15 @@ from jaxtyping import Float, Int
 from .._types import ATTITUDE, POSITION, RATE, VELOCITY
 from ..fitting import Cut, driven
 from ..logs import Log, smooth_states
-from ..physics import from_euler, rotation
+from ..physics import from_euler, rotation, to_euler
 from ..vehicle import Vehicle
 
 Signals = dict[str, Float[np.ndarray, "windows knots"]]
 
 # Widths of the play operators, as shares of the largest command in the logs.
 PLAYS = (0.1, 0.2, 0.4, 0.8)
+# What a craft's state is named.
+STATE = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Places:
     - `velocity`: linear [m/s] and angular [rad/s] in body axes.
     - `driven`: the wrench that commands give, `o`, body axes [N, N m], 0 on locked axes.
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
+    - `every`: so many of them are as far apart as the knots of a missing wrench.
     - `played`: per thruster what play operators of several widths make of its command, without the
       command and in shares of their width. Every hysteresis without creep is a sum of such operators
       (Prandtl-Ishlinskii; after Visintin 1994).
@@ -41,11 +44,22 @@ class Places:
     driven: Float[np.ndarray, "windows knots 6"]
     signals: Signals
     played: dict[str, Float[np.ndarray, "windows knots plays"]]
+    every: int = 1
 
     @property
     def commanded(self) -> tuple[str, ...]:
         """Thrusters whose command changes."""
         return tuple(name for name in self.played if name in self.signals)
+
+    def where(self, states: Float[np.ndarray, "windows knots 13"]) -> "Places":
+        """With the craft in other states (position, attitude as a quaternion, velocity)."""
+        position, attitude, velocity = np.split(states, [3, 7], axis=-1)
+        turns, angles = jax.vmap(jax.vmap(lambda q: (rotation(q), to_euler(q))))(jnp.asarray(attitude))
+        state = np.concatenate([position, angles, velocity], axis=-1)
+        now = {name: state[..., i] for i, name in enumerate(STATE) if name in self.signals}
+        return dataclasses.replace(
+            self, rotation=np.asarray(turns), velocity=velocity, signals=self.signals | now
+        )
 
     def through_water(self, water: Float[np.ndarray, "3"], signals: Signals) -> Signals:
         """Signals with velocities over ground made relative to water that moves (north, east, down) [m/s]."""
@@ -107,11 +121,10 @@ def placed_at(
     return PlacedAt(t, first + log, np.asarray(turns), state, command, behind, given)
 
 
-def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]) -> Places:
+def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt], every: int) -> Places:
     """The places of knots; `drives`: names of the columns, `parts`: of the logs, in their order."""
     t, log, turns, state, command, behind, given = map(np.concatenate, zip(*parts, strict=True))
-    names = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
-    signals = {name: state[:, :, i] for i, name in enumerate(names)}
+    signals = {name: state[:, :, i] for i, name in enumerate(STATE)}
     signals |= {name: command[:, :, i] for i, name in enumerate(drives)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
     spans = np.cumsum([0.0, *[source.duration for source in logs]])[:-1]
@@ -125,6 +138,7 @@ def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]
         driven=given,
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
         played={name: behind[:, :, i] for i, name in enumerate(drives)},
+        every=every,
     )
 
 

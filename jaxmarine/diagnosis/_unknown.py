@@ -42,6 +42,10 @@ ALIKE, CHANCE = 0.1, 1e-3
 UNPULLED = 1e6
 
 
+# Of the signals at some places.
+Regressors = Callable[[Places], Float[np.ndarray, "windows places features"]]
+
+
 @dataclasses.dataclass(frozen=True)
 class Dependence:
     """A missing wrench on one axis as a function of signals.
@@ -51,7 +55,7 @@ class Dependence:
       named, within two standard errors: the log cannot tell them apart.
     - `features`: the regressors' values at the knots, none where only the size of the wrench goes with the
       signals; `remembers`: it hangs on the past of a command, since without the plays it saves less than
-      half.
+      half; `made`: the regressors at any places, None where none but those at the knots are known.
     """
 
     axis: int
@@ -60,6 +64,11 @@ class Dependence:
     saved: float
     features: Float[np.ndarray, "windows knots features"]
     remembers: bool
+    made: Regressors | None = None
+
+    def at(self, places: Places) -> "Dependence":
+        """With its regressors at other places than the knots."""
+        return self if self.made is None else dataclasses.replace(self, features=self.made(places))
 
     @property
     def size_only(self) -> bool:
@@ -78,8 +87,8 @@ def resolved(name: str, values: np.ndarray) -> int:
     return int(np.clip(1.0 / max(step, 1.0 / MOST_BUMPS), BUMPS, MOST_BUMPS))
 
 
-def _single(name: str, values: np.ndarray) -> np.ndarray:
-    """Shapes of one signal.
+def _single(name: str, values: np.ndarray, every: int = 1) -> np.ndarray:
+    """Shapes of one signal; `every`: so many of its values are as far apart as knots.
 
     Harmonics of an angle that turns; bumps over the range of a place, of the time and of a small angle;
     x, x², x³, |x| x and a step at zero, as of dry friction, of all that has a zero of its own.
@@ -90,7 +99,7 @@ def _single(name: str, values: np.ndarray) -> np.ndarray:
     if name in (*POSITION, "t", *ATTITUDE):
         low, high = np.quantile(values, [0.005, 0.995])
         x = (np.clip(values, low, high) - low) / max(high - low, 1e-12)
-        count = resolved(name, values)
+        count = resolved(name, values[:, ::every])
         bumps = np.exp(-0.5 * ((count - 1) * x[..., None] - np.arange(count)) ** 2)
         return np.concatenate([x[..., None] - 0.5, (x[..., None] - 0.5) ** 2, bumps], axis=-1)
     x = np.clip(values / max(float(np.quantile(np.abs(values), 0.99)), 1e-12), -1.5, 1.5)
@@ -105,7 +114,8 @@ class _Shapes:
 
     @functools.cached_property
     def singles(self) -> dict[str, np.ndarray]:
-        return {name: _single(name, values) for name, values in self.places.signals.items()}
+        every = self.places.every
+        return {name: _single(name, values, every) for name, values in self.places.signals.items()}
 
     @functools.cached_property
     def swings(self) -> Float[np.ndarray, "windows knots swings"]:
@@ -312,17 +322,26 @@ def _best_signals(ledger: _Ledger, axis: int) -> _Best:
     return _Best(chosen, gain, tuple(tied), alike=False)
 
 
-def _shapes_of(ledger: _Ledger, axis: int, best: _Best) -> tuple[np.ndarray, bool]:
+def _shapes_of(ledger: _Ledger, axis: int, best: _Best) -> tuple[Regressors, bool]:
     """Shapes of signals, of which few leave what would look like a force on a coupled axis.
 
     And whether the wrench hangs on the past of a command.
     """
     if best.alike:
-        return ledger.shapes.drifting(axis), False
-    shapes = (ledger.shapes.of(best.signals, heads) for heads in (2, 4))
-    values = max(shapes, key=lambda values: ledger.saved(axis, values).sum())
-    forgetful = _Shapes(dataclasses.replace(ledger.k.places, played={})).of(best.signals)
-    return values, bool(ledger.saved(axis, forgetful).sum() < 0.5 * best.gain.sum())
+        return functools.partial(_drifting, axis), False
+    here, names = ledger.k.places, best.signals
+    some = [functools.partial(_mixed, names, heads) for heads in (2, 4)]
+    made = max(some, key=lambda made: ledger.saved(axis, made(here)).sum())
+    forgetful = _mixed(names, 2, dataclasses.replace(here, played={}))
+    return made, bool(ledger.saved(axis, forgetful).sum() < 0.5 * best.gain.sum())
+
+
+def _mixed(names: tuple[str, ...], heads: int, places: Places) -> Float[np.ndarray, "windows knots features"]:
+    return _Shapes(places).of(names, heads)
+
+
+def _drifting(axis: int, places: Places) -> Float[np.ndarray, "windows knots features"]:
+    return _Shapes(places).drifting(axis)
 
 
 def _drift(
@@ -389,8 +408,9 @@ def dependences(
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
-        values, remembers = _shapes_of(ledger, axis, trials[axis])
-        found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers))
+        made, remembers = _shapes_of(ledger, axis, trials[axis])
+        values = made(k.places)
+        found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers, made))
         ledger.add(axis, ledger.wrench(axis, values))
         # What is found acts on all axes, by what couples them.
         trials.clear()
@@ -466,9 +486,9 @@ def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return g, h
 
 
-def _wrenches(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
-    """The dependences' regressors as wrenches at the knots."""
-    empty = np.zeros((*k.places.t.shape, 6, 0))
+def _wrenches(places: Places, found: tuple[Dependence, ...]) -> np.ndarray:
+    """The dependences' regressors as wrenches at some places."""
+    empty = np.zeros((*places.t.shape, 6, 0))
     return np.concatenate([empty, *(on_axis(one.axis, one.features) for one in found)], axis=-1)
 
 
@@ -477,7 +497,7 @@ def cost_of_removal(k: Knots, members: list[slice], found: tuple[Dependence, ...
 
     One that only stood in for an unknown dependence costs little once that may act for itself.
     """
-    g, h = _beside(k, _wrenches(k, found))
+    g, h = _beside(k, _wrenches(k.places, found))
     out = []
     for where in members:
         held = np.arange(where.start, where.stop)
@@ -503,14 +523,13 @@ def likely(
     with a command that answers it, has its own place in the likelihood and needs no dependence. But one that
     was estimated without the dependence had to stand in for it, and is estimated again beside it.
 
-    Shapes are those of the knot before: within a knot a command already answers the force that acts in it.
     """
     accepted: tuple[Dependence, ...] = ()
     before = nats_beside(k, accepted, 1.0)
     for one in found:
         if one.axis in {other.axis for other in accepted}:
             continue
-        shapes = lagged(k, (*accepted, one))
+        shapes = as_given(k, (*accepted, one))
         first = _integrated(k, shapes, 1.0)
         ways = [(k, first)]
         if (other := k.where(first.step, _normalised(k, shapes) @ first.sizes)) is not k:
@@ -577,23 +596,14 @@ def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray,
 
 def _normalised(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
     """The dependences' regressors as wrenches at the knots, each of mean square one on its axis."""
-    wrenches = _wrenches(k, found)
+    wrenches = _wrenches(k.given, found)
     size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
     return wrenches / np.maximum(size, 1e-300)
 
 
-def lagged(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
-    """Dependences on the signals of the knot before each."""
-    return tuple(dataclasses.replace(one, features=_earlier(k, one.features)) for one in found)
-
-
-def _earlier(k: Knots, features: np.ndarray) -> Float[np.ndarray, "windows knots features"]:
-    """Features of the knot before each, none where a log begins."""
-    flat = features.reshape(-1, features.shape[-1])
-    out = np.roll(flat, 1, axis=0).reshape(features.shape)
-    begins = np.diff(k.places.log, prepend=-1) != 0
-    out[begins, 0] = 0.0
-    return out
+def as_given(k: Knots, found: tuple[Dependence, ...]) -> tuple[Dependence, ...]:
+    """Dependences with regressors where wrenches are given."""
+    return tuple(one.at(k.given) for one in found)
 
 
 def _eliminated(

@@ -28,9 +28,9 @@ from ._signals import Signals, samples_at
 from ._unknown import (
     Dependence,
     acting,
+    as_given,
     cost_of_removal,
     dependences,
-    lagged,
     likely,
     nats_beside,
     size_only,
@@ -232,9 +232,7 @@ def _nats_with(
 ) -> float:
     _, precision, _ = bench.known(way)
     missing = dataclasses.replace(now.left, precision=precision)
-    # Beside a disturbance a command already answers, within a knot, the force that acts in it.
-    found = unknown if way.beside is None else lagged(missing, unknown)
-    return nats(bench, way, now.stats, phi) + nats_beside(missing, found, by)
+    return nats(bench, way, now.stats, phi) + nats_beside(missing, as_given(missing, unknown), by)
 
 
 def _stand_in(bench: Workbench, now: Judged, unknown: tuple[Dependence, ...]) -> int | None:

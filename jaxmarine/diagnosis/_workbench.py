@@ -253,9 +253,19 @@ class Workbench:
     @functools.cached_property
     def places(self) -> Places:
         """Of the knots; logs are smoothed for them, which a workbench that only refines can do without."""
+        return self._places(self.knots)
+
+    @functools.cached_property
+    def holds(self) -> Places:
+        """Of every sample of the windows, as if each were a knot."""
+        return self._places(self.cut.windows.step.shape[1])
+
+    def _places(self, count: int) -> Places:
+        """Of so many knots in each window."""
         names, logs = self.vehicle.drive_names, self.data.logs
         largest = np.max(self.keeper.each(self, largest_in), axis=0)
-        return places(names, logs, self.keeper.each(self, placed_in, largest))
+        parts = self.keeper.each(self, placed_in, count, largest)
+        return places(names, logs, parts, count // self.knots)
 
     # --- the affine map of z -------------------------------------------------------------------
 
@@ -898,9 +908,9 @@ def largest_in(bench: Workbench) -> Float[np.ndarray, " columns"]:
     return largest_commands(bench.vehicle, bench.data.logs)
 
 
-def placed_in(bench: Workbench, largest: Float[np.ndarray, " columns"]) -> PlacedAt:
-    """Where the knots lie and what was measured there."""
-    return placed_at(bench.vehicle, bench.cut, bench.part.first, bench.knots, largest)
+def placed_in(bench: Workbench, count: int, largest: Float[np.ndarray, " columns"]) -> PlacedAt:
+    """Where so many knots in each window lie and what was measured there."""
+    return placed_at(bench.vehicle, bench.cut, bench.part.first, count, largest)
 
 
 def screened(bench: Workbench, model: Model) -> tuple[Reduced, Reduced]:

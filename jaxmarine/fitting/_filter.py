@@ -232,11 +232,6 @@ class Free(eqx.Module):
     residual: Float[Array, "steps rows wrenches"]
     end: Float[Array, "13 wrenches"]
 
-    def along(self, shapes: Float[Array, "knots 6 shapes"]) -> tuple[Array, Array]:
-        """Those by the sizes of wrenches of given shapes."""
-        flat = shapes.reshape(-1, shapes.shape[-1])
-        return self.residual @ flat, self.end @ flat
-
 
 class Windowed(eqx.Module):
     """A window as a linear system, and what it takes to join it to the one before.
@@ -330,18 +325,34 @@ class Windowed(eqx.Module):
         white = white.reshape(-1, white.shape[-1])
         return white.T @ white, log_det, message
 
-    def shaped(self, free: Free, shapes: Float[Array, "knots 6 shapes"]) -> "Windowed":
+    def held(self, wrench: Float[Array, "steps axes shapes"]) -> tuple[Array, Array]:
+        """Derivatives of its residuals and its end by the sizes of wrenches that are held from each sample.
+
+        - `wrench`: on the disturbance's axes.
+        """
+        pushed = slice(13, 13 + wrench.shape[1])
+        over, at = self.line.f[..., pushed] @ wrench, self.line.h[..., pushed] @ wrench
+
+        def step(state, now):
+            f, over = now
+            return f @ state + over, state
+
+        begin = jnp.zeros((13, wrench.shape[-1]))
+        end, states = jax.lax.scan(step, begin, (self.line.f[..., :13], over))
+        return self.line.h[..., :13] @ states + at, end
+
+    def shaped(self, wrench: Float[Array, "steps axes shapes"]) -> "Windowed":
         """The sizes of wrenches of given shapes asked for as well, behind what is asked for first."""
 
         def behind(stays: Array, more: Array) -> Array:
             return jnp.concatenate([stays[..., :-1], more, stays[..., -1:]], axis=-1)
 
-        by_residual, by_end = free.along(shapes)
+        by_residual, by_end = self.held(wrench)
         return self.told(behind(self.line.residual, by_residual), behind(self.end, by_end))
 
-    def beside(self, free: Free, wrench: Float[Array, "knots 6"]) -> "Windowed":
+    def beside(self, wrench: Float[Array, "steps axes"]) -> "Windowed":
         """The window where a wrench acts that its path does not have."""
-        by_residual, by_end = free.along(wrench[..., None])
+        by_residual, by_end = self.held(wrench[..., None])
         residual = self.line.residual.at[..., -1].add(by_residual[..., 0])
         return self.told(residual, self.end.at[..., -1].add(by_end[..., 0]))
 
@@ -470,22 +481,22 @@ def innovations(
     path: Path,
     group: Int[Array, " windows"],
     groups: int,
-    shapes: Float[Array, "windows knots 6 shapes"] | None = None,
+    shapes: Float[Array, "windows steps 6 shapes"] | None = None,
     width: int | None = None,
 ) -> Innovations:
     """What all windows say of z at z = 0, and of the sizes of wrenches of given shapes at 0.
 
     - `group`: of each window; windows of the group with the number `groups` are left out.
-    - `shapes`: of wrenches that are constant over each of so many equal parts of a window [N, N m].
+    - `shapes`: of wrenches that are held from each sample to the next [N, N m].
     - `width`: how many z are linearised at a time, so that the program of few serves for many; None: all.
     """
     count, spread = len(path.delta), _spread(problem)
     given = affine.acts.shape[-1] + (0 if shapes is None else shapes.shape[-1])
     carry = jnp.zeros((groups + 1, given, given)), nothing_known(force, given + 1)
-    found, knots = [], 1 if shapes is None else shapes.shape[1]
-    for every, free, index in _in_turn(problem, affine, force, path, knots, width):
+    found = []
+    for every, _, index in _in_turn(problem, affine, force, path, 1, width):
         if shapes is not None:
-            every = _shaped(every, free, shapes[np.minimum(index, count - 1)])
+            every = _shaped(every, force.axes, shapes[np.minimum(index, count - 1)])
         carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
         found.append(kept)
     minus_twice, g, path = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *found)
@@ -493,13 +504,15 @@ def innovations(
 
 
 @compiled
-def _shaped(every: Windowed, free: Free, shapes: Float[Array, "windows knots 6 shapes"]) -> Windowed:
-    return jax.vmap(Windowed.shaped)(every, free, shapes)
+def _shaped(
+    every: Windowed, axes: tuple[int, ...], shapes: Float[Array, "windows steps 6 shapes"]
+) -> Windowed:
+    return jax.vmap(Windowed.shaped)(every, shapes[:, :, np.array(axes)])
 
 
 @compiled
-def _beside(every: Windowed, free: Free, wrench: Float[Array, "windows knots 6"]) -> Windowed:
-    return jax.vmap(Windowed.beside)(every, free, wrench)
+def _beside(every: Windowed, axes: tuple[int, ...], wrench: Float[Array, "windows steps 6"]) -> Windowed:
+    return jax.vmap(Windowed.beside)(every, wrench[:, :, np.array(axes)])
 
 
 def path_lines(
@@ -507,16 +520,16 @@ def path_lines(
     affine: Affine,
     force: Disturbance,
     path: Path,
-    wrench: Float[Array, "windows knots 6"] | None = None,
+    wrench: Float[Array, "windows steps 6"] | None = None,
 ) -> Windowed:
     """All windows as linear systems, of which nothing but the residuals is asked for.
 
-    - `wrench`: that acts besides, constant over each of so many equal parts of a window [N, N m].
+    - `wrench`: that acts besides, held from each sample to the next [N, N m].
     """
-    count, found, knots = len(path.delta), [], 1 if wrench is None else wrench.shape[1]
-    for every, free, index in _in_turn(problem, affine, force, path, knots):
+    count, found = len(path.delta), []
+    for every, _, index in _in_turn(problem, affine, force, path, 1):
         if wrench is not None:
-            every = _beside(every, free, wrench[np.minimum(index, count - 1)])
+            every = _beside(every, force.axes, wrench[np.minimum(index, count - 1)])
         found.append(every.alone)
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[: len(path.delta)], *found)
 
