@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from jaxmarine.diagnosis import Criteria, Diagnosis, _coefficients, _diagnose, _search, _settle, _unnamed
 from jaxmarine.diagnosis._dropped import NEEDLESS, STOOD_IN, UNNAMED
-from jaxmarine.diagnosis._explanation import Beginning, Member, Model
+from jaxmarine.diagnosis._explanation import Beginning, Beside, Member, Model
 from jaxmarine.diagnosis._filed import Coefficient
 from jaxmarine.diagnosis._judge import Judged
 from jaxmarine.diagnosis._keeper import HERE, Part
@@ -682,6 +682,35 @@ def test_one_name_is_asked_for_only_beside_what_else_is_unknown():
     rival.likelier = lambda named, phi, bends=True: True
     one, two = (rival.bench.fit(*range(4, 4 + n)) for n in (1, 2))
     assert not rival.beats(one, rival.bench.screen(one)) and rival.beats(two, rival.bench.screen(two))
+
+
+@pytest.mark.parametrize(
+    ("disturbed", "alone", "together", "beaten"),
+    [
+        (True, True, True, True),
+        (True, True, False, False),
+        (True, False, True, False),
+        (False, True, True, False),
+    ],
+)
+def test_beside_a_disturbance_one_name_gives_way_with_what_else_is_unknown(
+    monkeypatch, disturbed, alone, together, beaten
+):
+    """Before it is settled, where what is unknown is likelier than it alone and with the rest."""
+    rival, one = rival_with(), jnp.ones(1)
+    force = Disturbance(one, one, 0.0 * one, one, jnp.zeros(1, bool), (0,))
+    model = rival.bench.fit(4)
+    if disturbed:
+        model = dataclasses.replace(model, beside=Beside(force, Path.measured(1, (0,)), np.eye(2)))
+    rest = (dependence(),)
+    monkeypatch.setattr(_unnamed, "judged", lambda bench, model: judged_as(model))
+    monkeypatch.setattr(_unnamed, "extended_by", lambda bench, model, dense: None)
+    monkeypatch.setattr(_unnamed, "_dependences", lambda bench, now, vehicle: (now, rest))
+    monkeypatch.setattr(_unnamed, "nats_of", lambda bench, now, unknown: -1.0 if unknown is rest else np.nan)
+    monkeypatch.setattr(_unnamed, "nats", lambda *given: 0.0)
+    monkeypatch.setattr(_unnamed, "dispersion", lambda *given: 1.0)
+    rival.likelier = lambda named, phi: alone if named == 0.0 else together
+    assert rival.beats_one(model, object.__new__(Reduced)) == beaten
 
 
 def test_names_that_are_beaten_are_not_settled_first(monkeypatch):

@@ -204,7 +204,7 @@ def _chosen(
     bench: Workbench, rival: Unnamed, found: Found, progress: Progress
 ) -> tuple[Answer, tuple[Round, ...]]:
     """Names, unknown dependences, or both: what explains the logs better; and all that was weighed."""
-    if rival.beats(found.model, found.stats):
+    if rival.beats(found.model, found.stats) or rival.beats_one(found.model, found.stats):
         return _without_names(bench, rival, found.model, (), UNNAMED), found.rounds
     progress(SETTLING)
     model, dense, rounds, dropped = settled(bench, found)

@@ -187,6 +187,23 @@ class Unnamed:
         """
         if len(model.members) < 2:
             return False
+        return self._likelier_than(model, stats)
+
+    def beats_one(self, model: Model, stats: Reduced) -> bool:
+        """`likelier` than one member with what else is unknown, before it is settled.
+
+        Asked beside a disturbance alone, where a beginning is already the best: to settle what only stands in
+        for something unknown takes longer than the search.
+        """
+        if model.beside is None or len(model.members) != 1 or not self._likelier_than(model, stats):
+            return False
+        now, unknown = _dependences(
+            self.bench, judged(self.bench, model), extended_by(self.bench, model, dense=False)
+        )
+        return self.likelier(nats_of(self.bench, now, unknown), now.phi)
+
+    def _likelier_than(self, model: Model, stats: Reduced) -> bool:
+        """`likelier` than a model alone."""
         phi = dispersion(self.bench, model, stats)
         return self.likelier(nats(self.bench, model, stats, phi), phi)
 
