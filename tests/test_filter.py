@@ -590,13 +590,28 @@ def test_many_columns_are_told_as_well_by_a_few_at_a_time(disturbed):
     np.testing.assert_allclose(parts.path.delta, whole.path.delta, atol=1e-9)
 
 
+def test_a_wrench_is_held_from_each_sample_and_shows_there_at_once():
+    """Sample by sample by hand, on random systems; accelerations show what acts at their own sample."""
+    every, _ = windows_of([False, True], [1e6, 0.0])
+    wrench = np.random.default_rng(0).normal(size=(STEPS, AXES, 3))
+    for window in (jax.tree.map(lambda a, i=i: np.asarray(a[i]), every) for i in range(2)):
+        by_residual, by_end = window.held(jnp.asarray(wrench))
+        state = np.zeros((13, 3))
+        for k in range(STEPS):
+            pushed = np.concatenate([state, wrench[k]])
+            shown, moved = window.line.h[k][:, : 13 + AXES], window.line.f[k][:, : 13 + AXES]
+            np.testing.assert_allclose(by_residual[k], shown @ pushed, atol=1e-12)
+            state = moved @ pushed
+        np.testing.assert_allclose(by_end, state, atol=1e-12)
+
+
 def test_wrenches_of_given_shapes_are_summed_over_all_windows(disturbed):
     """Against logs in which they act: by differences of the likelihood, which is a parabola of their sizes.
 
     One of them lasts for many windows, as what disturbs the boat does.
     """
     bench, model = disturbed
-    t, (log,) = bench.holds.t, bench.data.logs
+    t, (log,) = bench.expected(model).t, bench.data.logs
     shapes = np.zeros((*t.shape, 6, 2))
     shapes[..., 0, 0], shapes[..., 5, 1] = np.sin(2 * np.pi * t / 80.0), np.cos(2 * np.pi * t / 7.0)
     g, h = _knots.with_shapes(bench, model, shapes)
@@ -653,7 +668,7 @@ def test_what_acts_is_given_where_the_craft_is_expected_in_each_hold(disturbed):
 def test_a_disturbance_is_estimated_again_where_a_wrench_acts(disturbed):
     """As that of the log in which the wrench does not act, which had stood in for it."""
     bench, model = disturbed
-    (log,), t = bench.data.logs, bench.holds.t
+    (log,), t = bench.data.logs, bench.expected(model).t
     step = np.asarray(bench.data.windows.step)
     acts, without = np.zeros((*t.shape, 6)), log.wrench.copy()
     acts[..., 0] = 6.0 * np.sin(2 * np.pi * t / 80.0)

@@ -685,31 +685,39 @@ def test_one_name_is_asked_for_only_beside_what_else_is_unknown():
 
 
 @pytest.mark.parametrize(
-    ("disturbed", "alone", "together", "beaten"),
+    ("disturbed", "alone", "bent", "held", "white", "beaten"),
     [
-        (True, True, True, True),
-        (True, True, False, False),
-        (True, False, True, False),
-        (False, True, True, False),
+        (True, True, True, True, False, True),
+        (False, True, True, True, False, False),
+        (True, False, True, True, False, False),
+        (True, True, False, True, False, False),
+        (True, True, True, False, False, False),
+        (True, True, True, True, True, False),
     ],
 )
 def test_beside_a_disturbance_one_name_gives_way_with_what_else_is_unknown(
-    monkeypatch, disturbed, alone, together, beaten
+    monkeypatch, disturbed, alone, bent, held, white, beaten
 ):
-    """Before it is settled, where what is unknown is likelier than it alone and with the rest."""
-    rival, one = rival_with(), jnp.ones(1)
+    """Before it is settled: where what is unknown is likelier than it, and than it with the rest.
+
+    With a file that bends or holds; and noise alone is explained.
+    """
+    rival, one, rest = rival_with(), jnp.ones(1), (dependence(),)
     force = Disturbance(one, one, 0.0 * one, one, jnp.zeros(1, bool), (0,))
     model = rival.bench.fit(4)
     if disturbed:
         model = dataclasses.replace(model, beside=Beside(force, Path.measured(1, (0,)), np.eye(2)))
-    rest = (dependence(),)
-    monkeypatch.setattr(_unnamed, "judged", lambda bench, model: judged_as(model))
+    likelier = {"alone": alone, "bent": bent, "held": held}
+    monkeypatch.setattr(_unnamed, "judged", lambda bench, model: judged_as(model, white))
     monkeypatch.setattr(_unnamed, "extended_by", lambda bench, model, dense: None)
     monkeypatch.setattr(_unnamed, "_dependences", lambda bench, now, vehicle: (now, rest))
-    monkeypatch.setattr(_unnamed, "nats_of", lambda bench, now, unknown: -1.0 if unknown is rest else np.nan)
-    monkeypatch.setattr(_unnamed, "nats", lambda *given: 0.0)
+    monkeypatch.setattr(
+        _unnamed, "nats_of", lambda bench, now, unknown: "held" if now.model.frozen else "bent"
+    )
+    monkeypatch.setattr(_unnamed, "nats", lambda *given: "alone")
     monkeypatch.setattr(_unnamed, "dispersion", lambda *given: 1.0)
-    rival.likelier = lambda named, phi: alone if named == 0.0 else together
+    rival.likelier = lambda named, phi: likelier[named]
+    rival.bench.likeliest = lambda model: model
     assert rival.beats_one(model, object.__new__(Reduced)) == beaten
 
 

@@ -24,6 +24,7 @@ from jaxmarine.diagnosis._unknown import (
     Dependence,
     _evidence,
     _left_out,
+    _Shapes,
     acting,
     cost_of_removal,
     dependences,
@@ -443,6 +444,23 @@ def test_what_lasts_is_estimated_again_beside_a_dependence_that_it_stood_in_for(
     assert accepted[0].saved == pytest.approx(2 * (more - alone))
     # Beside the one that stood in for it less was to be gained.
     assert nats_beside(k, accepted, 1.0) < more - 3.0
+
+
+def test_regressors_at_samples_are_the_functions_that_they_are_at_the_knots():
+    """Where they lie there, whatever others there are: a heading that is wrapped, and one far off."""
+    rng = np.random.default_rng(2)
+    heading, u = np.pi + 0.3 * drift(rng, 20.0), drift(rng, 20.0)
+    knots = knots_with(u, {"psi": heading, "u": u}, rng).places
+    turned = Rotation.from_euler("z", heading.reshape(-1, 1)).as_quat(scalar_first=True)
+    states = np.concatenate(
+        [np.zeros((*SHAPE, 3)), turned.reshape(*SHAPE, 4), np.zeros((*SHAPE, 6))], axis=-1
+    )
+    states[..., 7] = u
+    states[0, 0, 7] = 50.0
+    there = knots.in_states(states)
+    np.testing.assert_allclose(there.signals["psi"], heading, atol=1e-9)
+    here, at = (_Shapes(places, knots).of(("psi", "u")) for places in (knots, there))
+    np.testing.assert_allclose(at[1:], here[1:], atol=1e-9)
 
 
 def test_dependences_beside_known_numbers_are_worth_what_the_densities_say():

@@ -6,7 +6,6 @@ swings with a period. No hypothesis needs a simulation of its own.
 """
 
 import dataclasses
-import functools
 
 import jax.numpy as jnp
 import numpy as np
@@ -139,12 +138,10 @@ class KnotsBeside(Knots):
         assert self.model.beside is not None
         return self.model.beside.force
 
-    @functools.cached_property
+    @property
     def given(self) -> Places:
-        """Every sample, with the craft where its path lets one expect it, which knows of no later one."""
-        holds, parts = self.bench.holds, self.bench.lines(self.model).states
-        expected = np.asarray(parts)[: self.bench.fine.count].reshape(*holds.t.shape, -1)
-        return _through_water(self.bench, self.model, holds.where(expected))
+        """Every sample, as of `Workbench.expected`."""
+        return _through_water(self.bench, self.model, self.bench.expected(self.model))
 
     def summed(
         self, values: Float[np.ndarray, "windows samples 6 features"]
@@ -223,7 +220,7 @@ def beside_wrench(
     step: Float[np.ndarray, " z"],
     wrench: Float[np.ndarray, "windows samples 6"],
 ) -> tuple[Model, float]:
-    """The model beside the disturbance that suits the logs after a step of z with a wrench at the knots.
+    """The model beside the disturbance that suits the logs after a step of z with a wrench at the samples.
 
     And the nats by which they are less likely beside it as the model is, without either.
     """
@@ -240,8 +237,8 @@ def beside_wrench(
 
 def _of_parts(bench: Workbench, at_samples: Float[np.ndarray, "windows samples *values"]) -> Array:
     """What is given at the samples of whole windows, for the windows cut up, then zeros."""
-    most = len(bench.fine.group)
-    cut_up = at_samples.reshape(bench.fine.count, -1, *at_samples.shape[2:])
+    most, steps = bench.fine.problem.windows.step.shape
+    cut_up = at_samples.reshape(bench.fine.count, steps, *at_samples.shape[2:])
     return jnp.asarray(np.pad(cut_up, [(0, most - len(cut_up))] + [(0, 0)] * (cut_up.ndim - 1)))
 
 

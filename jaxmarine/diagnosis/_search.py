@@ -1,6 +1,7 @@
 """The search: score every suspect, refit the best, keep the winner if it is real, go on."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -696,7 +697,11 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
     """The round that a significant one of the best trials wins, and the statistics of its model."""
     # The best may rest on a few windows, as one does that acts throughout in the place of one that begins:
     # then the next ones are looked at too.
-    for trial in [t for t in trials if _may_be_found(bench, t)][:CHANCES]:
+    saves = [t.saved > needed(bench, t.member, 1.0) for t in trials]
+    sure = list(itertools.compress(trials, saves))
+    hopeful = [t for t, enough in zip(trials, saves, strict=True) if not enough and _may_be_found(bench, t)]
+    to_beat = model
+    for place, trial in enumerate([*sure, *hopeful][:CHANCES]):
         exact = bench.likeliest(trial.model)
         since = trial.member.since
         if exact.beside is not None and since is not None:
@@ -705,7 +710,10 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
             exact = bench.likeliest(begun_at_best(bench, exact, -1, dt, FEW_STEPS))
         if not bench.stands(exact, model):
             continue
-        winner = trial_of(model, exact)
+        if place >= len(sure) and to_beat is model:
+            # What the disturbance gains by being fitted to the end is not the suspect's.
+            to_beat = bench.likeliest(model)
+        winner = trial_of(to_beat, exact)
         after = bench.screen(exact)
         phi = dispersion(bench, exact, after)
         if not significant(bench, winner, after, phi):
@@ -724,13 +732,12 @@ def _decided(bench: Workbench, model: Model, trials: Sequence[Trial]) -> tuple[R
 
 
 def _may_be_found(bench: Workbench, trial: Trial) -> bool:
-    """Whether a trial that is refitted to the end may have the odds that a finding needs.
+    """Whether a trial without the odds that a finding needs may have them where it is refitted to the end.
 
-    Beside a disturbance, which is fitted to it in part only, it may gain more by that than its refit did: one
-    that stood in for what acts all the time, by a memory as long as the log, goes step by step.
+    Beside a disturbance, which is fitted to it in part only: one that stood in for what acts all the time, by
+    a memory as long as the log, goes step by step.
     """
-    least = needed(bench, trial.member, 1.0) if trial.model.beside is None else penalty(bench, trial.member)
-    return bool(trial.saved > least)
+    return trial.model.beside is not None and bool(trial.saved > penalty(bench, trial.member))
 
 
 def by_evidence(

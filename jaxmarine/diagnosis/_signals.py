@@ -19,19 +19,18 @@ Signals = dict[str, Float[np.ndarray, "windows knots"]]
 
 # Widths of the play operators, as shares of the largest command in the logs.
 PLAYS = (0.1, 0.2, 0.4, 0.8)
-# What a craft's state is named.
-STATE = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
+# The numbers of a craft's state.
+STATE_NAMES = (*POSITION, *ATTITUDE, *VELOCITY, *RATE)
 
 
 @dataclasses.dataclass(frozen=True)
 class Places:
-    """The middles of the knots.
+    """The middles of the knots, or of samples, each of which is a knot then.
 
     - `t` in its log's own time [s], `log` [windows]; `rotation` from body to world axes.
     - `velocity`: linear [m/s] and angular [rad/s] in body axes.
     - `driven`: the wrench that commands give, `o`, body axes [N, N m], 0 on locked axes.
     - `signals`: what a missing wrench may depend on, by name; those that never change are left out.
-    - `every`: so many of them are as far apart as the knots of a missing wrench.
     - `played`: per thruster what play operators of several widths make of its command, without the
       command and in shares of their width. Every hysteresis without creep is a sum of such operators
       (Prandtl-Ishlinskii; after Visintin 1994).
@@ -44,19 +43,20 @@ class Places:
     driven: Float[np.ndarray, "windows knots 6"]
     signals: Signals
     played: dict[str, Float[np.ndarray, "windows knots plays"]]
-    every: int = 1
 
     @property
     def commanded(self) -> tuple[str, ...]:
         """Thrusters whose command changes."""
         return tuple(name for name in self.played if name in self.signals)
 
-    def where(self, states: Float[np.ndarray, "windows knots 13"]) -> "Places":
-        """With the craft in other states (position, attitude as a quaternion, velocity)."""
+    def in_states(self, states: Float[np.ndarray, "windows knots 13"]) -> "Places":
+        """With the craft in other states (position, attitude as a quaternion, velocity), turned as often."""
         position, attitude, velocity = np.split(states, [3, 7], axis=-1)
         turns, angles = jax.vmap(jax.vmap(lambda q: (rotation(q), to_euler(q))))(jnp.asarray(attitude))
         state = np.concatenate([position, angles, velocity], axis=-1)
-        now = {name: state[..., i] for i, name in enumerate(STATE) if name in self.signals}
+        now = {name: state[..., i] for i, name in enumerate(STATE_NAMES) if name in self.signals}
+        for name in {*ATTITUDE} & {*now}:
+            now[name] += 2 * np.pi * np.round((self.signals[name] - now[name]) / (2 * np.pi))
         return dataclasses.replace(
             self, rotation=np.asarray(turns), velocity=velocity, signals=self.signals | now
         )
@@ -121,10 +121,10 @@ def placed_at(
     return PlacedAt(t, first + log, np.asarray(turns), state, command, behind, given)
 
 
-def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt], every: int) -> Places:
+def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]) -> Places:
     """The places of knots; `drives`: names of the columns, `parts`: of the logs, in their order."""
     t, log, turns, state, command, behind, given = map(np.concatenate, zip(*parts, strict=True))
-    signals = {name: state[:, :, i] for i, name in enumerate(STATE)}
+    signals = {name: state[:, :, i] for i, name in enumerate(STATE_NAMES)}
     signals |= {name: command[:, :, i] for i, name in enumerate(drives)}
     # Time over all logs in order, so that a drift from log to log is a dependence too.
     spans = np.cumsum([0.0, *[source.duration for source in logs]])[:-1]
@@ -138,7 +138,6 @@ def places(drives: Sequence[str], logs: Sequence[Log], parts: Sequence[PlacedAt]
         driven=given,
         signals={name: values for name, values in signals.items() if np.ptp(values) > 1e-6},
         played={name: behind[:, :, i] for i, name in enumerate(drives)},
-        every=every,
     )
 
 

@@ -53,9 +53,9 @@ class Dependence:
     - `saved`: chi-square saved on left-out windows; beside a disturbance twice the nats by which it makes the
       logs likelier (`likely`). `tied`: signals that would do as well as one of those
       named, within two standard errors: the log cannot tell them apart.
-    - `features`: the regressors' values at the knots, none where only the size of the wrench goes with the
-      signals; `remembers`: it hangs on the past of a command, since without the plays it saves less than
-      half; `made`: the regressors at any places, None where none but those at the knots are known.
+    - `features`: the regressors' values at the knots, or where `at` says, none where only the size of the
+      wrench goes with the signals; `made`: them at any places, None where only those at the knots are known.
+    - `remembers`: it hangs on the past of a command, since without the plays it saves less than half.
     """
 
     axis: int
@@ -87,52 +87,58 @@ def resolved(name: str, values: np.ndarray) -> int:
     return int(np.clip(1.0 / max(step, 1.0 / MOST_BUMPS), BUMPS, MOST_BUMPS))
 
 
-def _single(name: str, values: np.ndarray, every: int = 1) -> np.ndarray:
-    """Shapes of one signal; `every`: so many of its values are as far apart as knots.
+def _single(name: str, values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Shapes of one signal, of the kind and the range that its values at the knots have.
 
     Harmonics of an angle that turns; bumps over the range of a place, of the time and of a small angle;
     x, x², x³, |x| x and a step at zero, as of dry friction, of all that has a zero of its own.
     """
-    if name in ATTITUDE and np.ptp(values) > 2.0:
+    if name in ATTITUDE and np.ptp(knots) > 2.0:
         turns = np.arange(1, HARMONICS + 1) * values[..., None]
         return np.concatenate([np.sin(turns), np.cos(turns)], axis=-1)
     if name in (*POSITION, "t", *ATTITUDE):
-        low, high = np.quantile(values, [0.005, 0.995])
+        low, high = np.quantile(knots, [0.005, 0.995])
         x = (np.clip(values, low, high) - low) / max(high - low, 1e-12)
-        count = resolved(name, values[:, ::every])
+        count = resolved(name, knots)
         bumps = np.exp(-0.5 * ((count - 1) * x[..., None] - np.arange(count)) ** 2)
         return np.concatenate([x[..., None] - 0.5, (x[..., None] - 0.5) ** 2, bumps], axis=-1)
-    x = np.clip(values / max(float(np.quantile(np.abs(values), 0.99)), 1e-12), -1.5, 1.5)
+    x = np.clip(values / max(float(np.quantile(np.abs(knots), 0.99)), 1e-12), -1.5, 1.5)
     return np.stack([x, x**2, x**3, np.abs(x) * x, np.tanh(10.0 * x)], axis=-1)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Shapes:
-    """Regressors made of the signals at the knots."""
+    """Regressors made of the signals at some places, each of the kind and range that it has at the knots."""
 
     places: Places
+    knots: Places
 
     @functools.cached_property
-    def singles(self) -> dict[str, np.ndarray]:
-        every = self.places.every
-        return {name: _single(name, values, every) for name, values in self.places.signals.items()}
+    def _made(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def single(self, name: str) -> Float[np.ndarray, "windows places features"]:
+        """Of one signal."""
+        if name not in self._made:
+            self._made[name] = _single(name, self.places.signals[name], self.knots.signals[name])
+        return self._made[name]
 
     @functools.cached_property
-    def swings(self) -> Float[np.ndarray, "windows knots swings"]:
+    def swings(self) -> Float[np.ndarray, "windows places swings"]:
         """Of the time, from half a period in the logs to as many as left-out stretches leave visible."""
-        t = self.places.signals["t"]
-        turns = np.pi * (t - t.min()) / max(float(np.ptp(t)), 1e-12)
+        t, knots = self.places.signals["t"], self.knots.signals["t"]
+        turns = np.pi * (t - knots.min()) / max(float(np.ptp(knots)), 1e-12)
         angles = np.arange(1, SWINGS + 1) * turns[..., None]
         return np.concatenate([np.sin(angles), np.cos(angles)], axis=-1)
 
-    def of(self, names: tuple[str, ...], heads: int = 2) -> Float[np.ndarray, "windows knots features"]:
+    def of(self, names: tuple[str, ...], heads: int = 2) -> Float[np.ndarray, "windows places features"]:
         """Shapes of each signal, and for every pair products of all harmonics or of the first `heads` shapes.
 
         Commands also have their plays: a thrust may depend on where its command comes from. With the time
         the others have products of slow swings, since what drifts need not drift one way; beside the
         swings of several signals no other products.
         """
-        singles = [self.singles[name] for name in names]
+        singles = [self.single(name) for name in names]
         firsts = [shapes if shapes.shape[-1] == 2 * HARMONICS else shapes[..., :heads] for shapes in singles]
         products = [
             (a[..., :, None] * b[..., None, :]).reshape(*a.shape[:2], -1)
@@ -147,7 +153,7 @@ class _Shapes:
         rest = [*products, *played] if len(names) < 3 else []
         return np.concatenate([*singles, *slow, *rest], axis=-1)
 
-    def drifting(self, axis: int) -> Float[np.ndarray, "windows knots features"]:
+    def drifting(self, axis: int) -> Float[np.ndarray, "windows places features"]:
         """What commands together give on an axis, with its slow swings: drives that drift alike."""
         given = self.places.driven[..., axis, None]
         return np.concatenate([given, given * self.swings], axis=-1)
@@ -188,7 +194,7 @@ class _Ledger:
 
     def __init__(self, k: Knots, criteria: Criteria = DEFAULT):
         self.k, self.criteria = k, criteria
-        self.shapes = _Shapes(k.places)
+        self.shapes = _Shapes(k.places, k.places)
         shape = (*k.places.t.shape, 6)
         missing = missing_wrench(k)
         self.y = np.nan_to_num(missing.wrench.reshape(shape))
@@ -322,26 +328,29 @@ def _best_signals(ledger: _Ledger, axis: int) -> _Best:
     return _Best(chosen, gain, tuple(tied), alike=False)
 
 
-def _shapes_of(ledger: _Ledger, axis: int, best: _Best) -> tuple[Regressors, bool]:
+def _shapes_of(ledger: _Ledger, axis: int, best: _Best) -> tuple[Regressors, np.ndarray, bool]:
     """Shapes of signals, of which few leave what would look like a force on a coupled axis.
 
-    And whether the wrench hangs on the past of a command.
+    Their values at the knots, and whether the wrench hangs on the past of a command.
     """
-    if best.alike:
-        return functools.partial(_drifting, axis), False
     here, names = ledger.k.places, best.signals
-    some = [functools.partial(_mixed, names, heads) for heads in (2, 4)]
-    made = max(some, key=lambda made: ledger.saved(axis, made(here)).sum())
-    forgetful = _mixed(names, 2, dataclasses.replace(here, played={}))
-    return made, bool(ledger.saved(axis, forgetful).sum() < 0.5 * best.gain.sum())
+    if best.alike:
+        return functools.partial(_drifting, axis, here), ledger.shapes.drifting(axis), False
+    some = {heads: ledger.shapes.of(names, heads) for heads in (2, 4)}
+    heads = max(some, key=lambda heads: ledger.saved(axis, some[heads]).sum())
+    forgetful = _mixed(names, 2, here, dataclasses.replace(here, played={}))
+    remembers = bool(ledger.saved(axis, forgetful).sum() < 0.5 * best.gain.sum())
+    return functools.partial(_mixed, names, heads, here), some[heads], remembers
 
 
-def _mixed(names: tuple[str, ...], heads: int, places: Places) -> Float[np.ndarray, "windows knots features"]:
-    return _Shapes(places).of(names, heads)
+def _mixed(
+    names: tuple[str, ...], heads: int, knots: Places, places: Places
+) -> Float[np.ndarray, "windows places features"]:
+    return _Shapes(places, knots).of(names, heads)
 
 
-def _drifting(axis: int, places: Places) -> Float[np.ndarray, "windows knots features"]:
-    return _Shapes(places).drifting(axis)
+def _drifting(axis: int, knots: Places, places: Places) -> Float[np.ndarray, "windows places features"]:
+    return _Shapes(places, knots).drifting(axis)
 
 
 def _drift(
@@ -408,8 +417,7 @@ def dependences(
             continue
         if not (plain or _causal(ledger, axis, names, gain, undisturbed, most)):
             continue
-        made, remembers = _shapes_of(ledger, axis, trials[axis])
-        values = made(k.places)
+        made, values, remembers = _shapes_of(ledger, axis, trials[axis])
         found.append(Dependence(axis, names, tied, float(gain.sum()), values, remembers, made))
         ledger.add(axis, ledger.wrench(axis, values))
         # What is found acts on all axes, by what couples them.
@@ -472,12 +480,12 @@ def _causal(
         return True
     places = ledger.k.places
     moved = dataclasses.replace(places, signals=places.signals | undisturbed)
-    saved = ledger.saved(axis, _Shapes(moved).of(names))
+    saved = ledger.saved(axis, _Shapes(moved, moved).of(names))
     return bool(_sigmas(saved, most) > TOLD_APART and saved.sum() > 0.1 * gain.sum())
 
 
 def _beside(k: Knots, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and information of the known numbers, with their prior, and of wrenches at the knots."""
+    """Gradient and information of the known numbers, with their prior, and of wrenches."""
     g, h = k.summed(wrench)
     n = k.width
     h[:n, :n] += np.diag(k.precision)
@@ -522,7 +530,6 @@ def likely(
     odds for how many sets of signals there are to try. A disturbance that goes with a signal for a while, as
     with a command that answers it, has its own place in the likelihood and needs no dependence. But one that
     was estimated without the dependence had to stand in for it, and is estimated again beside it.
-
     """
     accepted: tuple[Dependence, ...] = ()
     before = nats_beside(k, accepted, 1.0)
@@ -595,7 +602,7 @@ def _beside_shapes(k: Knots, found: tuple[Dependence, ...]) -> tuple[np.ndarray,
 
 
 def _normalised(k: Knots, found: tuple[Dependence, ...]) -> np.ndarray:
-    """The dependences' regressors as wrenches at the knots, each of mean square one on its axis."""
+    """The dependences' regressors as wrenches where they are given, each of mean square one on its axis."""
     wrenches = _wrenches(k.given, found)
     size = np.sqrt(6 * (wrenches**2).mean(axis=(0, 1, 2)))
     return wrenches / np.maximum(size, 1e-300)

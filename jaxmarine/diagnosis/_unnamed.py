@@ -192,14 +192,23 @@ class Unnamed:
     def beats_one(self, model: Model, stats: Reduced) -> bool:
         """`likelier` than one member with what else is unknown, before it is settled.
 
-        Asked beside a disturbance alone, where a beginning is already the best: to settle what only stands in
-        for something unknown takes longer than the search.
+        To settle what only stands in for something unknown takes longer than the search. It is asked beside a
+        disturbance alone, where the search has moved beginnings to their best times already.
         """
         if model.beside is None or len(model.members) != 1 or not self._likelier_than(model, stats):
             return False
-        now, unknown = _dependences(
-            self.bench, judged(self.bench, model), extended_by(self.bench, model, dense=False)
-        )
+        return self._likelier_than_all(model) and self._likelier_than_all(self._held(model))
+
+    def _held(self, model: Model) -> Model:
+        """A model with the file as it is, as settling would leave it."""
+        return self.bench.likeliest(self.bench.frozen(self.bench.as_filed(model)))
+
+    def _likelier_than_all(self, model: Model) -> bool:
+        """`likelier` than a model with what else the logs depend on; not where it leaves noise alone."""
+        now = judged(self.bench, model)
+        if now.white:
+            return False
+        now, unknown = _dependences(self.bench, now, extended_by(self.bench, model, dense=False))
         return self.likelier(nats_of(self.bench, now, unknown), now.phi)
 
     def _likelier_than(self, model: Model, stats: Reduced) -> bool:

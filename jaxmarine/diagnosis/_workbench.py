@@ -24,6 +24,7 @@ from ..fitting import (
     Check,
     Cut,
     Likelihood,
+    Path,
     Problem,
     Room,
     Segments,
@@ -178,6 +179,7 @@ class Workbench:
         self.knots = parts * min(max(2 if parts == 1 else 1, of_part), max(1, steps // (2 * parts)))
         self._own = segments(vehicle, data.logs, self.part.later)
         self._screened: tuple[Model, Any, Reduced] | None = None
+        self._expected: tuple[Path, Places] | None = None
         self._sampled: tuple[Model, Model] | None = None
         # Programs that are compiled, by kinds of models.
         self._known = set[tuple[str, tuple[bool, ...] | None]]()
@@ -256,16 +258,28 @@ class Workbench:
         return self._places(self.knots)
 
     @functools.cached_property
-    def holds(self) -> Places:
-        """Of every sample of the windows, as if each were a knot."""
+    def _samples(self) -> Places:
+        """Of every sample of the windows, as measured."""
         return self._places(self.cut.windows.step.shape[1])
+
+    def expected(self, model: Model) -> Places:
+        """Every sample, with the craft where the path of a model beside a disturbance lets one expect it.
+
+        It knows of no later sample, but for where a log begins, and for what commands give (`driven`). The
+        last one is kept: it is commonly asked of models along the same path.
+        """
+        assert model.beside is not None
+        if self._expected is None or self._expected[0] is not model.beside.path:
+            states = np.asarray(self.lines(model).states)[: self.fine.count]
+            along = self._samples.in_states(states.reshape(*self._samples.t.shape, -1))
+            self._expected = model.beside.path, along
+        return self._expected[1]
 
     def _places(self, count: int) -> Places:
         """Of so many knots in each window."""
         names, logs = self.vehicle.drive_names, self.data.logs
         largest = np.max(self.keeper.each(self, largest_in), axis=0)
-        parts = self.keeper.each(self, placed_in, count, largest)
-        return places(names, logs, parts, count // self.knots)
+        return places(names, logs, self.keeper.each(self, placed_in, count, largest))
 
     # --- the affine map of z -------------------------------------------------------------------
 

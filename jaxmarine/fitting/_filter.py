@@ -431,7 +431,7 @@ def _in_turn(
     affine: Affine,
     force: Disturbance,
     path: Path,
-    knots: int,
+    knots: int = 1,
     width: int | None = None,
 ) -> Iterator[tuple[Windowed, Free, np.ndarray]]:
     """Some windows after others as linear systems, and their indices; what fills up lies beyond the last.
@@ -494,7 +494,7 @@ def innovations(
     given = affine.acts.shape[-1] + (0 if shapes is None else shapes.shape[-1])
     carry = jnp.zeros((groups + 1, given, given)), nothing_known(force, given + 1)
     found = []
-    for every, _, index in _in_turn(problem, affine, force, path, 1, width):
+    for every, _, index in _in_turn(problem, affine, force, path, width=width):
         if shapes is not None:
             every = _shaped(every, force.axes, shapes[np.minimum(index, count - 1)])
         carry, kept = _joined_up(carry, every, force, of_filled(group, groups, index), spread)
@@ -527,7 +527,7 @@ def path_lines(
     - `wrench`: that acts besides, held from each sample to the next [N, N m].
     """
     count, found = len(path.delta), []
-    for every, _, index in _in_turn(problem, affine, force, path, 1):
+    for every, _, index in _in_turn(problem, affine, force, path):
         if wrench is not None:
             every = _beside(every, force.axes, wrench[np.minimum(index, count - 1)])
         found.append(every.alone)
