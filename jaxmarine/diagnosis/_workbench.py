@@ -258,7 +258,7 @@ class Workbench:
         return self._places(self.knots)
 
     @functools.cached_property
-    def _samples(self) -> Places:
+    def _every_sample(self) -> Places:
         """Of every sample of the windows, as measured."""
         return self._places(self.cut.windows.step.shape[1])
 
@@ -271,7 +271,7 @@ class Workbench:
         assert model.beside is not None
         if self._expected is None or self._expected[0] is not model.beside.path:
             states = np.asarray(self.lines(model).states)[: self.fine.count]
-            along = self._samples.in_states(states.reshape(*self._samples.t.shape, -1))
+            along = self._every_sample.in_states(states.reshape(*self._every_sample.t.shape, -1))
             self._expected = model.beside.path, along
         return self._expected[1]
 
