@@ -118,6 +118,11 @@ def test_the_page_has_the_numbers_of_the_present_code():
             GROUPS[1],
             "Of {count} of these that can be seen, {right} have a wholly right answer",
         ),
+        (
+            "fed_back_third",
+            GROUPS[1],
+            "Of {count} of these that can be\nseen, {right} have a wholly right answer",
+        ),
     ):
         rows = json.loads((HERE / folder / "results.json").read_text())["rows"]
         counted = summary(rows)
@@ -158,7 +163,14 @@ def test_the_page_says_how_often_intervals_of_right_answers_hold_the_truth():
 def test_the_page_has_what_was_missed():
     rows = [
         row
-        for folder in ("by_sticks", "geared", "geared_fed_back", "fed_back", "fed_back_anew")
+        for folder in (
+            "by_sticks",
+            "geared",
+            "geared_fed_back",
+            "fed_back",
+            "fed_back_anew",
+            "fed_back_third",
+        )
         for row in json.loads((HERE / folder / "results.json").read_text())["rows"]
     ]
     assert missed_table(summary(rows)) in (ROOT / "experiments" / "README.md").read_text()
