@@ -19,6 +19,9 @@ WINDOWS, ROWS, KNOWN, SUSPECTS = 400, 20, 3, 6
 ALL = KNOWN + SUSPECTS
 PRIOR = 2.0
 MODEL = Model((), np.zeros(KNOWN), jnp.zeros((1, 12)), 0.0)
+ONE = jnp.ones(1)
+FORCE = Disturbance(ONE, ONE, 0.0 * ONE, ONE, jnp.zeros(1, bool), (0,))
+DISTURBED = dataclasses.replace(MODEL, beside=Beside(FORCE, Path.measured(1, (0,)), np.eye(2)))
 
 
 class Bench(Workbench):
@@ -161,9 +164,7 @@ def test_of_suspects_that_save_a_fifth_of_the_best_the_leading_three_are_tried_w
 
 def test_what_pays_for_its_numbers_beside_a_disturbance_is_refitted_to_the_end_behind_what_is_sure():
     """Two numbers cost log(1000) = 6.9 each; a finding of six suspects at odds of 150 another 13.6."""
-    one, asked = jnp.ones(1), []
-    force = Disturbance(one, one, 0.0 * one, one, jnp.zeros(1, bool), (0,))
-    disturbed = dataclasses.replace(MODEL, beside=Beside(force, Path.measured(1, (0,)), np.eye(2)))
+    asked = []
 
     class Refuses(Bench):
         def likeliest(self, model):
@@ -174,7 +175,7 @@ def test_what_pays_for_its_numbers_beside_a_disturbance_is_refitted_to_the_end_b
             return False
 
     saved = [20.0, 30.0, 13.0, 15.0, 28.0]
-    for model, refitted in ((disturbed, [30.0, 28.0, 20.0]), (MODEL, [30.0, 28.0])):
+    for model, refitted in ((DISTURBED, [30.0, 28.0, 20.0]), (MODEL, [30.0, 28.0])):
         trials = [
             Trial(Member(i), dataclasses.replace(model, cost=worth), worth) for i, worth in enumerate(saved)
         ]
@@ -185,9 +186,7 @@ def test_what_pays_for_its_numbers_beside_a_disturbance_is_refitted_to_the_end_b
 
 def test_what_a_disturbance_gains_by_being_fitted_to_the_end_is_no_suspects(monkeypatch):
     """A suspect saves 20 in part and 32 in the end, where 2 or 6 are gained without it; it needs 27.4."""
-    one = jnp.ones(1)
-    force = Disturbance(one, one, 0.0 * one, one, jnp.zeros(1, bool), (0,))
-    model = dataclasses.replace(MODEL, cost=100.0, beside=Beside(force, Path.measured(1, (0,)), np.eye(2)))
+    model = dataclasses.replace(DISTURBED, cost=100.0)
     with_it = dataclasses.replace(model, members=(Member(0),), cost=90.0)
     monkeypatch.setattr(_search, "significant", lambda bench, trial, after, phi: trial.saved > 27.4)
     monkeypatch.setattr(_search, "dispersion", lambda *given: 1.0)

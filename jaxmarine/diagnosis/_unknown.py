@@ -531,6 +531,8 @@ def likely(
     with a command that answers it, has its own place in the likelihood and needs no dependence. But one that
     was estimated without the dependence had to stand in for it, and is estimated again beside it.
     """
+    if not found:
+        return found, k
     accepted: tuple[Dependence, ...] = ()
     before = nats_beside(k, accepted, 1.0)
     for one in found:

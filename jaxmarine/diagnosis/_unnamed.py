@@ -197,13 +197,13 @@ class Unnamed:
         """
         if model.beside is None or len(model.members) != 1 or not self._likelier_than(model, stats):
             return False
-        return self._likelier_than_all(model) and self._likelier_than_all(self._held(model))
+        if not self._likelier_with_rest(model):
+            return False
+        # Settling would hold the file where that is likelier.
+        bench = self.bench
+        return self._likelier_with_rest(bench.likeliest(bench.frozen(bench.as_filed(model))))
 
-    def _held(self, model: Model) -> Model:
-        """A model with the file as it is, as settling would leave it."""
-        return self.bench.likeliest(self.bench.frozen(self.bench.as_filed(model)))
-
-    def _likelier_than_all(self, model: Model) -> bool:
+    def _likelier_with_rest(self, model: Model) -> bool:
         """`likelier` than a model with what else the logs depend on; not where it leaves noise alone."""
         now = judged(self.bench, model)
         if now.white:
